@@ -66,8 +66,8 @@ def say_answers(layout: Layout, camouflages: Collection[str]) -> None:
         half = lenient.get(_place(row))
         say(
             f"  {detector_name(row.detector):<12} {row.camouflage} hides {percent(row.easr)}"
-            f"{where} (95 % interval {interval(row.easr_low, row.easr_high)}), net of random controls "
-            f"{percent(row.net_easr)}"
+            f"{where} (95 % interval {interval(row.easr_low, row.easr_high)}), "
+            f"net of random controls {percent(row.net_easr)}"
             + ("" if half is None else f", by the lenient rule {percent(half)}")
         )
     for worst in answers.worst_cases:
