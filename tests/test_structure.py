@@ -294,7 +294,7 @@ def test_these_rules_can_fail():
         "report.page": "from skyproof.results.fine import f\nprint('done')",
         "report.slow": "from skyproof.results import heavy",
         "cli.later": "def f():\n    from skyproof.reproduction.page import f",
-        "cli": "print('hello')",
+        "console": "print('hello')",
         "reproduction.__init__": '"""The paper: tables. Nothing else."""',
         "reproduction.page": "from skyproof.report.page import f",
         "render.__init__": '"""The renderer."""',

@@ -80,8 +80,6 @@ def rank_agreement(
         paper: EASR by attack, e.g. {name: result.easr for name, result in PAPER_RESULTS.items()}.
         rows: our row for an attack where its name differs, e.g. {"S-O": "S-O@0.4"} at the magnitude
             to compare.
-        generator: of the bootstrap.
-        renderer: whose images ours are on.
 
     Raises:
         ConfigurationError: fewer than three attacks are shared, or one of them is undefined.
@@ -126,8 +124,7 @@ def renderer_agreement(
 
     Args:
         tiles: counts under both.
-        names: of the attacks to compare, without repeats.
-        generator: of the bootstrap.
+        names: names of the attacks to compare, without repeats.
 
     Raises:
         ConfigurationError: fewer than three attacks are shared, or one of them is undefined.
@@ -308,15 +305,7 @@ def with_paper(
     rows: Mapping[str, str],
     renderer: str = RENDERER,
 ) -> list[dict[str, Any]]:
-    """Correlates our ranks under a renderer with a column of the paper's, set by set.
-
-    Args:
-        run: ours.
-        compared: what is compared, in words.
-        paper: the column.
-        rows: our row for an attack where its name differs.
-        renderer: whose images ours are on.
-    """
+    """Correlates our ranks under a renderer with a column of the paper's, set by set."""
 
     def correlate(belongs: Callable[[str], bool]) -> Agreement:
         wanted = {name: rate for name, rate in paper.items() if belongs(name)}
