@@ -228,7 +228,7 @@ def test_what_was_scored_by_hand_is_reported(
     assert "procedurally generated ground" in page
     assert "Texture map of T-U" in page
     assert "Vehicles as built and with T-U" in page
-    assert "<strong>valid</strong> (computer-generated)" in page
+    assert "<strong>valid</strong> (rendered)" in page
 
 
 def test_report(copied, tmp_path: Path, skyproof: Skyproof) -> None:
