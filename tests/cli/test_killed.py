@@ -41,11 +41,11 @@ def test_killed_and_interrupted_in_every_stage(tmp_path: Path, finished: Path) -
         ("interrupt", ".backgrounds.partial/tiles", 1, "backgrounds"),
         ("write", "tiles/", 4, "backgrounds"),
         ("rename", "/backgrounds", 1, "backgrounds/tiles"),
+        ("rename", "retinanet/weights.safetensors", 1, "detectors/retinanet/detector.json"),
+        ("rename", "retinanet/detector.json", 1, "detectors/retinanet/detector.json"),
         ("write", "fleet.safetensors", 2, "fleets"),
         ("write", "scenes/test.jsonl", 1, "scenes/test.jsonl"),
         ("write", "datasets/test/images/", 5, "datasets/test"),
-        ("rename", "retinanet/weights.safetensors", 1, "detectors/retinanet/detector.json"),
-        ("rename", "retinanet/detector.json", 1, "detectors/retinanet/detector.json"),
         ("appears", "camouflages/T-U/checkpoint.safetensors", 1, "camouflages/T-U/camouflage.json"),
         ("write", "T-U/previews/", 1, "camouflages/T-U/camouflage.json"),
         (
