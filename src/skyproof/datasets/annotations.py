@@ -46,13 +46,6 @@ class Information(msgspec.Struct, frozen=True):
     camouflage: Annotated[str, Meta(max_length=64)] = ""
 
 
-class CategoryRow(msgspec.Struct, frozen=True):
-    """One class of objects."""
-
-    id: Seed
-    name: Name
-
-
 class ImageRow(msgspec.Struct, frozen=True):
     """One image: its file below the dataset's folder, and the name of its scene."""
 
