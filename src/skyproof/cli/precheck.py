@@ -76,13 +76,13 @@ class Precheck:
             load: gives the detector of a folder, where a folder alone does not hold it.
         """
         if not self.detectors:
-            raise ConfigurationError("A check expects at least one detector folder, got none.")
+            raise ConfigurationError("A precheck expects at least one detector folder, got none.")
         if self.freeze is not None:
             self._freeze(self.freeze)
             return
         if self.backgrounds is None or self.fleet is None:
             raise ConfigurationError(
-                "A check renders scenes: give --backgrounds and --fleet, those of the test split."
+                "A precheck renders scenes: give --backgrounds and --fleet of the test split."
             )
         from skyproof.detectors.card import read_card
         from skyproof.device import choose_device
