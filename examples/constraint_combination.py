@@ -9,7 +9,7 @@ import torch
 
 import skyproof as sp
 
-world = sp.AttackWorld.open("runs/demo/backgrounds", "runs/demo/fleets/attack", size_px=128)
+world = sp.World.open("runs/demo/backgrounds", "runs/demo/fleets/attack", size_px=128)
 detectors = [
     sp.load_detector(folder).detector for folder in sorted(Path("runs/demo/detectors").iterdir())
 ]

@@ -24,6 +24,6 @@ class MyDetector(sp.TrainableDetector):
         return scores[..., 3].mean(1)  # class 3 of COCO is "car"
 
 
-world = sp.AttackWorld.open("runs/demo/backgrounds", "runs/demo/fleets/attack", size_px=128)
+world = sp.World.open("runs/demo/backgrounds", "runs/demo/fleets/attack", size_px=128)
 texture = sp.make_camouflage("T-U", generator=torch.Generator().manual_seed(0))
 sp.attack(texture, [MyDetector()], world, sp.AttackSettings(steps=400), "runs/mine/T-U")

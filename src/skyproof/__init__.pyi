@@ -8,7 +8,7 @@ from .attacks.queries import query_attack as query_attack
 from .attacks.settings import AttackSettings as AttackSettings
 from .attacks.settings import QuerySettings as QuerySettings
 from .attacks.sign_test import sign_test as sign_test
-from .attacks.world import AttackWorld as AttackWorld
+from .attacks.world import World as World
 from .camouflage.account import practicality_account as practicality_account
 from .camouflage.camouflage import Camouflage as Camouflage
 from .camouflage.combination import Combination as Combination

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from skyproof.attacks.attack import attack
 from skyproof.attacks.settings import AttackSettings
-from skyproof.attacks.world import AttackWorld
+from skyproof.attacks.world import World
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.make import make_camouflage
 from skyproof.datasets.dataset import Dataset
@@ -56,7 +56,7 @@ class Attacked:
         """Learns a camouflage, against both detectors where none is named."""
         scenes = SceneSettings(size_px=SIDE_PX, vehicles_maximum=1)
         fleet = self.world.fleets["attack"]
-        world = AttackWorld(self.world.renderer(), self.world.ground, fleet, scenes)
+        world = World(self.world.renderer(), self.world.ground, fleet, scenes)
         camouflage = drawn(name)
         settings = ATTACK
         if camouflage.name.kind == "shape":

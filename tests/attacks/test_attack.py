@@ -17,7 +17,7 @@ from skyproof.attacks.objective import (
     objective_and_gradient,
 )
 from skyproof.attacks.settings import AttackSettings
-from skyproof.attacks.world import AttackWorld
+from skyproof.attacks.world import World
 from skyproof.camouflage.folder import load_camouflage
 from skyproof.camouflage.make import make_camouflage
 from skyproof.detectors.detector import TrainableDetector
@@ -76,7 +76,7 @@ def world(tmp_path_factory):
         tmp_path_factory.mktemp("ground"), {"attack": 2}, 140, seed=0
     )
     fleet = sample_fleet(FleetSettings(count=2), generator=torch.Generator().manual_seed(0))
-    return AttackWorld(TorchRenderer(backgrounds), backgrounds, fleet, SCENES)
+    return World(TorchRenderer(backgrounds), backgrounds, fleet, SCENES)
 
 
 def start(seed=0):

@@ -10,7 +10,7 @@ from skyproof.attacks.attack import attack
 from skyproof.attacks.objective import target_scores
 from skyproof.attacks.settings import AttackSettings
 from skyproof.attacks.sign_test import sign_test
-from skyproof.attacks.world import AttackWorld
+from skyproof.attacks.world import World
 from skyproof.camouflage.folder import load_camouflage
 from skyproof.camouflage.make import make_camouflage
 from skyproof.camouflage.name import CamouflageName
@@ -81,7 +81,7 @@ def world(tmp_path_factory):
     )
     fleet = sample_fleet(FleetSettings(count=3), generator=torch.Generator().manual_seed(0))
     scenes = SceneSettings(size_px=96, vehicles_maximum=1)
-    return AttackWorld(TorchRenderer(backgrounds), backgrounds, fleet, scenes)
+    return World(TorchRenderer(backgrounds), backgrounds, fleet, scenes)
 
 
 def start(name, seed=0, turn_steps=2):

@@ -15,7 +15,7 @@ from skyproof.attacks.coarse import MOST_NUMBERS, CoarseChange
 from skyproof.attacks.objective import target_scores
 from skyproof.attacks.queries import query_attack
 from skyproof.attacks.settings import QuerySettings
-from skyproof.attacks.world import AttackWorld
+from skyproof.attacks.world import World
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.folder import load_camouflage, read_record
 from skyproof.camouflage.texture import UniversalTexture
@@ -61,7 +61,7 @@ def judge(detector: Answering, threshold: float = 0.6) -> LoadedDetector:
 
 
 @torch.no_grad()
-def mean_score(camouflage: Camouflage, world: AttackWorld) -> float:
+def mean_score(camouflage: Camouflage, world: World) -> float:
     scenes = world.draw(24, generator=torch.Generator().manual_seed(12345))
     frames = world.frames(camouflage, scenes)
     return float(target_scores(BrightnessDetector(), frames, 0.125).mean())
@@ -74,7 +74,7 @@ def finished(name: str) -> Camouflage:
 
 
 @pytest.fixture(scope="module")
-def searched(world: AttackWorld, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def searched(world: World, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a finished search for T-Pix; not to be changed."""
     folder = tmp_path_factory.mktemp("searched") / "T-Pix"
     query_attack(finished("T-Pix"), judge(Answering()), world, KEPT, folder)
@@ -82,7 +82,7 @@ def searched(world: AttackWorld, tmp_path_factory: pytest.TempPathFactory) -> Pa
 
 
 @pytest.mark.parametrize("name", [*KINDS, "R-PixFc_search"])
-def test_answers_alone_find_something_better(tmp_path: Path, world: AttackWorld, name: str) -> None:
+def test_answers_alone_find_something_better(tmp_path: Path, world: World, name: str) -> None:
     before = mean_score(finished(name), world)
     detector = Answering()
     found = query_attack(finished(name), judge(detector), world, FEW, tmp_path)
@@ -95,7 +95,7 @@ def test_answers_alone_find_something_better(tmp_path: Path, world: AttackWorld,
         assert asked["judged"]["scenes"] == 16
 
 
-def test_colours_stay_those_of_the_palette(tmp_path: Path, world: AttackWorld) -> None:
+def test_colours_stay_those_of_the_palette(tmp_path: Path, world: World) -> None:
     before = finished("T-PixFc")
     found = query_attack(before, judge(Answering()), world, FEW, tmp_path)
     assert isinstance(found, UniversalTexture)
@@ -105,7 +105,7 @@ def test_colours_stay_those_of_the_palette(tmp_path: Path, world: AttackWorld) -
     assert not torch.equal(found.bytes(), before.bytes())
 
 
-def test_a_search_is_never_a_step_back(tmp_path: Path, world: AttackWorld) -> None:
+def test_a_search_is_never_a_step_back(tmp_path: Path, world: World) -> None:
     # Nothing is darker than black: whatever is tried, the start stays.
     black = finished("T-Pix")
     with torch.no_grad():
@@ -117,7 +117,7 @@ def test_a_search_is_never_a_step_back(tmp_path: Path, world: AttackWorld) -> No
 
 
 def test_a_stopped_search_ends_where_it_would_have_and_asks_nothing_twice(
-    tmp_path: Path, searched: Path, world: AttackWorld
+    tmp_path: Path, searched: Path, world: World
 ) -> None:
     straight = load_camouflage(searched)
     assert isinstance(straight, UniversalTexture)
@@ -139,7 +139,7 @@ def test_a_stopped_search_ends_where_it_would_have_and_asks_nothing_twice(
     assert rows[0] == rows[1]
 
 
-def test_copies_are_kept_on_the_way(searched: Path, world: AttackWorld) -> None:
+def test_copies_are_kept_on_the_way(searched: Path, world: World) -> None:
     kept = sorted((searched / "snapshots").iterdir())
     assert [each.name for each in kept] == ["T-Pix_asked250", "T-Pix_asked60"]
     later, earlier = kept
@@ -149,7 +149,7 @@ def test_copies_are_kept_on_the_way(searched: Path, world: AttackWorld) -> None:
     assert scores[1] < scores[0]
 
 
-def test_a_finished_search_asks_nothing(searched: Path, world: AttackWorld) -> None:
+def test_a_finished_search_asks_nothing(searched: Path, world: World) -> None:
     silent = Answering(stops_after=0)
     again = query_attack(finished("T-Pix"), judge(silent), world, KEPT, searched)
     assert silent.images == 0
@@ -159,14 +159,14 @@ def test_a_finished_search_asks_nothing(searched: Path, world: AttackWorld) -> N
 
 
 def test_a_detector_that_finds_nothing_cannot_be_attacked(
-    tmp_path: Path, world: AttackWorld
+    tmp_path: Path, world: World
 ) -> None:
     with pytest.raises(ConfigurationError, match="finds no vehicle"):
         query_attack(finished("T-Pix"), judge(Answering(), 0.999), world, FEW, tmp_path)
 
 
 def test_a_budget_for_less_than_one_generation_is_refused(
-    tmp_path: Path, world: AttackWorld
+    tmp_path: Path, world: World
 ) -> None:
     with pytest.raises(ConfigurationError, match="at least 70 images to be asked, got 69"):
         query_attack(
@@ -178,7 +178,7 @@ def test_a_budget_for_less_than_one_generation_is_refused(
     ("scores", "words"), [("[0.5]", "are 1 instead of 11"), ("[2.0]", "scores"), ("null", "scores")]
 )
 def test_answers_that_were_changed_are_refused(
-    tmp_path: Path, world: AttackWorld, scores: str, words: str
+    tmp_path: Path, world: World, scores: str, words: str
 ) -> None:
     with pytest.raises(DetectorAnswerError):
         query_attack(finished("T-Pix"), judge(Answering(stops_after=40)), world, FEW, tmp_path)

@@ -12,7 +12,7 @@ from torch import Tensor
 from skyproof.attacks.attack import attack
 from skyproof.attacks.held_out import BATCHES, HeldOut, Judged
 from skyproof.attacks.search import choose
-from skyproof.attacks.world import AttackWorld
+from skyproof.attacks.world import World
 from skyproof.camouflage.camouflage import Camouflage, random_part
 from skyproof.camouflage.folder import load_camouflage, save_camouflage
 from skyproof.camouflage.make import make_candidates
@@ -49,7 +49,7 @@ def loaded(threshold: float, name: str = "brightness") -> LoadedDetector:
 
 @pytest.mark.parametrize("name", SEARCHED)
 def test_a_search_finds_something_better_than_its_start(
-    tmp_path: Path, world: AttackWorld, name: str
+    tmp_path: Path, world: World, name: str
 ) -> None:
     settings = replace(FEW, steps=40, batch_size=8, checkpoint_every=50)
     before = mean_loss(start(name), world)
@@ -58,7 +58,7 @@ def test_a_search_finds_something_better_than_its_start(
     assert str(load_camouflage(tmp_path).name) == name
 
 
-def test_a_search_keeps_its_constraints(tmp_path: Path, world: AttackWorld) -> None:
+def test_a_search_keeps_its_constraints(tmp_path: Path, world: World) -> None:
     settings = replace(FEW, steps=30, batch_size=4, checkpoint_every=50)
     found = attack(start("R-PixFc_search"), [BrightnessDetector()], world, settings, tmp_path)
     assert isinstance(found, UniversalTexture)
@@ -70,7 +70,7 @@ def test_a_search_keeps_its_constraints(tmp_path: Path, world: AttackWorld) -> N
 
 
 def test_a_search_sees_as_many_images_as_the_attack_that_it_controls(
-    tmp_path: Path, world: AttackWorld
+    tmp_path: Path, world: World
 ) -> None:
     asked = []
     for name in ("T-PixFc", "R-PixFc_search"):
@@ -80,7 +80,7 @@ def test_a_search_sees_as_many_images_as_the_attack_that_it_controls(
     assert asked[0] == asked[1]
 
 
-def test_the_paint_that_hides_most_is_chosen(world: AttackWorld) -> None:
+def test_the_paint_that_hides_most_is_chosen(world: World) -> None:
     # The detector fires where it is bright.
     paints = [plain_paint((level,) * 3, masked=False) for level in (255, 0, 128)]
     shown = []
@@ -94,7 +94,7 @@ def test_the_paint_that_hides_most_is_chosen(world: AttackWorld) -> None:
     assert chosen.finalists == {1: held_out.judge(paints[1]).hidden}
 
 
-def test_all_scenes_decide_between_the_finalists(world: AttackWorld) -> None:
+def test_all_scenes_decide_between_the_finalists(world: World) -> None:
     class Told(HeldOut):
         """Has the answers ready: on few scenes, and on all of them."""
 
@@ -133,7 +133,7 @@ def test_a_plain_paint_has_no_other_constraint() -> None:
         make_candidates(CamouflageName.parse("R-PixFc_plain"), 5, seed=0)
 
 
-def test_a_detector_that_finds_nothing_has_nothing_to_hide_from(world: AttackWorld) -> None:
+def test_a_detector_that_finds_nothing_has_nothing_to_hide_from(world: World) -> None:
     with pytest.raises(ConfigurationError, match="brightness finds no vehicle"):
         HeldOut([loaded(1.0)], world, FEW.seed).judge(plain_paint((0, 0, 0), masked=False))
 

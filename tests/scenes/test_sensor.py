@@ -7,7 +7,7 @@ import pytest
 import torch
 from tests.render.bodies import scene
 
-from skyproof.attacks.world import AttackWorld
+from skyproof.attacks.world import World
 from skyproof.cycles.opening import open_renderer
 from skyproof.cycles.rendering import Rendering
 from skyproof.errors import ConfigurationError, StoredFileError
@@ -108,7 +108,7 @@ def test_rendering_and_attacks_use_it(folder, tmp_path):
     assert (record["blur_sigma_px"], record["noise"]) == (ROUNDED_PX, 0.02)
     fleet = sample_fleet(FleetSettings(count=1), generator=torch.Generator().manual_seed(0))
     fleet.save(tmp_path / "fleet")
-    world = AttackWorld.open(folder, tmp_path / "fleet", size_px=128)
+    world = World.open(folder, tmp_path / "fleet", size_px=128)
     record = world.renderer.record(world.step_scenes(2, seed=0, step=1))
     assert (record["blur_sigma_px"], record["noise"]) == (ROUNDED_PX, 0.02)
 

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from skyproof.assessment.request import Request
 from skyproof.assessment.suite import Suite
-from skyproof.attacks.world import AttackWorld
+from skyproof.attacks.world import World
 from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.palette import ground_palette
 from skyproof.detectors.card import read_card
@@ -115,9 +115,9 @@ class Subject:
         return load_ensemble(folders, self.device, self.gsd_m)
 
     @cached_property
-    def world(self) -> AttackWorld:
+    def world(self) -> World:
         """What attacks see."""
-        return AttackWorld.open(
+        return World.open(
             self.layout.backgrounds,
             self.layout.fleets / "attack",
             size_px=self.attack_px,

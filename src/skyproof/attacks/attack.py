@@ -27,7 +27,7 @@ from skyproof.attacks.objective import (
 )
 from skyproof.attacks.search import search_step
 from skyproof.attacks.settings import AttackSettings
-from skyproof.attacks.world import AttackWorld
+from skyproof.attacks.world import World
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.folder import (
     describe_camouflage,
@@ -52,7 +52,7 @@ _OTHER = "an attack with other settings or on other detectors"
 def attack(
     camouflage: Camouflage,
     detectors: Sequence[TrainableDetector],
-    world: AttackWorld,
+    world: World,
     settings: AttackSettings,
     folder: str | Path,
     *,
@@ -152,7 +152,7 @@ def _finished(camouflage: Camouflage, folder: Path, identity: Mapping[str, Any])
 def _take_steps(
     camouflage: Camouflage,
     detectors: Sequence[TrainableDetector],
-    world: AttackWorld,
+    world: World,
     settings: AttackSettings,
     loop: Loop,
     held_out: HeldOut | None,
@@ -212,7 +212,7 @@ def _convergence(
 def _learn(
     camouflage: Camouflage,
     detectors: Sequence[TrainableDetector],
-    world: AttackWorld,
+    world: World,
     settings: AttackSettings,
     loop: Loop,
 ) -> tuple[Objective, Float[Tensor, "B 3 H W"]]:
@@ -234,7 +234,7 @@ def _learn(
 
 
 def attack_weights(
-    detectors: Sequence[TrainableDetector], world: AttackWorld, settings: AttackSettings
+    detectors: Sequence[TrainableDetector], world: World, settings: AttackSettings
 ) -> dict[str, float]:
     """Gives the weights of the losses: every detector's term is 1 without camouflage.
 
@@ -289,7 +289,7 @@ def _half_cosine(share: float) -> float:
 def _measure(
     camouflage: Camouflage | None,
     detectors: Sequence[TrainableDetector],
-    world: AttackWorld,
+    world: World,
     settings: AttackSettings,
 ) -> dict[str, list[float]]:
     """Every detector's mean loss on each of the batches that no step sees, with a camouflage or

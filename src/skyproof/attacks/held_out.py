@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from skyproof.attacks.objective import target_scores
-from skyproof.attacks.world import AttackWorld
+from skyproof.attacks.world import World
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.detectors.detector import Detector, TrainableDetector
 from skyproof.detectors.inference import device_of
@@ -55,7 +55,7 @@ class HeldOut:
     def __init__(
         self,
         detectors: Sequence[LoadedDetector[Detector | TrainableDetector]],
-        world: AttackWorld,
+        world: World,
         seed: int,
         batch_size: int = BATCH_SIZE,
     ) -> None:

@@ -20,7 +20,7 @@ from skyproof.attacks.held_out import HeldOut
 from skyproof.attacks.search import choose
 from skyproof.attacks.settings import AttackSettings
 from skyproof.attacks.sign_test import sign_test
-from skyproof.attacks.world import AttackWorld
+from skyproof.attacks.world import World
 from skyproof.camouflage import make
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.folder import read_record, save_camouflage
@@ -86,7 +86,7 @@ class Maker:
     """
 
     detectors: Sequence[LoadedDetector[Any]]
-    world: AttackWorld
+    world: World
     settings: AttackSettings
     device: torch.device
     palette: Float[Tensor, "colours 3"] | None = None

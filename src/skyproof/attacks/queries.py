@@ -22,7 +22,7 @@ from skyproof.attacks.coarse import CoarseChange
 from skyproof.attacks.held_out import HeldOut
 from skyproof.attacks.objective import target_scores
 from skyproof.attacks.settings import QuerySettings
-from skyproof.attacks.world import AttackWorld
+from skyproof.attacks.world import World
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.folder import load_camouflage, read_record, save_camouflage
 from skyproof.camouflage.texture import UniversalTexture
@@ -104,7 +104,7 @@ _Search = _Evolution | _RandomChanges
 def query_attack(
     start: Camouflage,
     judge: LoadedDetector[Detector],
-    world: AttackWorld,
+    world: World,
     settings: QuerySettings,
     folder: str | Path,
     *,
@@ -229,7 +229,7 @@ def _search(start: Camouflage, settings: QuerySettings) -> _Search:
 def _try(
     candidates: Sequence[Camouflage],
     judge: LoadedDetector[Detector],
-    world: AttackWorld,
+    world: World,
     settings: QuerySettings,
     step: int,
 ) -> list[float]:

@@ -18,7 +18,7 @@ from torch import Tensor
 from skyproof.attacks.held_out import HeldOut
 from skyproof.attacks.objective import Objective, objective
 from skyproof.attacks.settings import AttackSettings
-from skyproof.attacks.world import AttackWorld
+from skyproof.attacks.world import World
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.errors import ConfigurationError
@@ -91,7 +91,7 @@ def search_step(
     camouflage: Camouflage,
     detectors: Sequence[TrainableDetector],
     weights: Mapping[str, float],
-    world: AttackWorld,
+    world: World,
     settings: AttackSettings,
     step: int,
 ) -> tuple[Objective, Float[Tensor, "B 3 H W"]]:

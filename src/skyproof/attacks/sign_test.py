@@ -13,7 +13,7 @@ from torch import Tensor
 from skyproof.attacks.attack import attack_weights, descend, make_optimiser
 from skyproof.attacks.objective import frozen, objective_and_gradient, target_scores
 from skyproof.attacks.settings import AttackSettings
-from skyproof.attacks.world import AttackWorld
+from skyproof.attacks.world import World
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.errors import NotFiniteError
@@ -24,7 +24,7 @@ from skyproof.scenes.scene import Scene
 def sign_test(
     camouflage: Camouflage,
     detectors: Sequence[TrainableDetector],
-    world: AttackWorld,
+    world: World,
     settings: AttackSettings,
 ) -> dict[str, dict[str, Any]]:
     """Takes one step of the attack's own optimiser, and compares the scores on the step's vehicles.
@@ -73,7 +73,7 @@ def _before_and_after(
     camouflage: Camouflage,
     detectors: Sequence[TrainableDetector],
     weights: Mapping[str, float],
-    world: AttackWorld,
+    world: World,
     settings: AttackSettings,
     scenes: list[Scene],
 ) -> tuple[Frames, Frames]:

@@ -27,7 +27,7 @@ from skyproof.vehicles.vehicle import VehicleBatch
 
 
 @dataclass(frozen=True)
-class AttackWorld:
+class World:
     """What the attack sees, drawn anew at every step.
 
     Attributes:
@@ -61,7 +61,7 @@ class AttackWorld:
         size_px: int = 384,
         conditions: Sequence[str] = ("clear",),
         places: Places = "uniform",
-    ) -> AttackWorld:
+    ) -> World:
         """Opens a background set and a fleet folder under the differentiable renderer.
 
         Args:

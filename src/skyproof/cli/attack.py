@@ -167,7 +167,7 @@ class Attack:
     ) -> None:
         """Attacks, each after a sign test of its gradient, or chooses."""
         from skyproof.attacks.making import Maker
-        from skyproof.attacks.world import AttackWorld
+        from skyproof.attacks.world import World
         from skyproof.detectors.card import read_card
         from skyproof.detectors.loaded import load_ensemble
         from skyproof.device import choose_device
@@ -175,7 +175,7 @@ class Attack:
         assert self.backgrounds is not None
         assert self.fleet is not None
         device = choose_device(self.device)
-        world = AttackWorld.open(
+        world = World.open(
             self.backgrounds,
             self.fleet,
             size_px=self.image_px or min(read_card(self.detectors[0]).image_size_px),
