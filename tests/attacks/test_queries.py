@@ -158,16 +158,12 @@ def test_a_finished_search_asks_nothing(searched: Path, world: World) -> None:
         query_attack(finished("T-Pix"), judge(silent, 0.5), world, KEPT, searched)
 
 
-def test_a_detector_that_finds_nothing_cannot_be_attacked(
-    tmp_path: Path, world: World
-) -> None:
+def test_a_detector_that_finds_nothing_cannot_be_attacked(tmp_path: Path, world: World) -> None:
     with pytest.raises(ConfigurationError, match="finds no vehicle"):
         query_attack(finished("T-Pix"), judge(Answering(), 0.999), world, FEW, tmp_path)
 
 
-def test_a_budget_for_less_than_one_generation_is_refused(
-    tmp_path: Path, world: World
-) -> None:
+def test_a_budget_for_less_than_one_generation_is_refused(tmp_path: Path, world: World) -> None:
     with pytest.raises(ConfigurationError, match="at least 70 images to be asked, got 69"):
         query_attack(
             finished("T-Pix"), judge(Answering()), world, replace(FEW, images=69), tmp_path
