@@ -17,7 +17,7 @@ from maite.spotcheck import SpotcheckError, spotcheck, spotcheck_component
 from maite.tasks import evaluate, predict
 
 import skyproof as sp
-from skyproof.cli.assess import Assess
+from skyproof.assessment.request import Request
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.answers import CheckedAnswers
 from skyproof.errors import ConfigurationError, DetectorAnswerError, StoredFileError
@@ -347,12 +347,15 @@ def test_a_models_classes_are_named(classes: list[str], words: str) -> None:
 
 
 def test_assess_asks_a_maite_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[tuple[Assess, Any]] = []
-    monkeypatch.setattr(Assess, "run", lambda command, box=None: asked.append((command, box)))
+    asked: list[tuple[Request, Any]] = []
+    monkeypatch.setattr(
+        "skyproof.assessment.assess.run_assessment",
+        lambda request, black_box: asked.append((request, black_box)),
+    )
     theirs = SomebodysModel(["tree", "car"])
     sp.assess(theirs, tmp_path / "run", vehicle_classes=["car"])
-    ((command, box),) = asked
-    assert command.detector == Path("else-where-1")
+    ((request, box),) = asked
+    assert request.detectors == (Path("else-where-1"),)
     images = torch.rand(1, 3, 96, 96, generator=torch.Generator().manual_seed(0))
     (found,) = box.detect(images)
     assert len(found.boxes) == len(found.scores)

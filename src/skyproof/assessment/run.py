@@ -23,6 +23,9 @@ from skyproof.files import Hold, alone, is_leftover, write_json
 from skyproof.layout import Layout
 from skyproof.results.stored import read_environment, read_timings
 
+# Every run's config names one of them, and a seed.
+_RECIPES = {"suite", "preset"}
+
 # What a step costs before it works, seconds on one core.
 START_S = 5.0
 
@@ -197,7 +200,7 @@ class Run:
         records = {path.name for path in (layout.config, layout.environment, layout.timings)}
         if stored == self._config or entries <= {*records, layout.steps.name}:
             return stored
-        if layout.steps.name not in entries:
+        if layout.steps.name not in entries and not (_RECIPES & {*stored} and "seed" in stored):
             raise RunFolderError(
                 f"{self.folder} has a config.json and is not a run of skyproof; choose another "
                 "--out."
