@@ -135,7 +135,7 @@ def test_where_gradients_mislead_nothing_is_accepted(tmp_path):
     kept = {"T-U_step10-0": set(), "T-U_asked1500": set(), "T-U_relaxed": set()}
     hides = missed({**found, **kept, "T-U_asked": set(range(4)), "T-U_on_mine": {0}})
     results = scored(tmp_path, hides)
-    attacks = _attacks(results.tiles, results.judges[0])
+    attacks = _attacks(results.tiles, results.detectors[0])
     assert set(attacks) == {"T-U", "T-U_transfer", "T-U_asked", "T-U_on_mine"}
     requirement = Requirement(0.5, 0.9999)
     ruling = Ruling("mine", "accepted", ["mine is ACCEPTED: so.", "T-U hides 0 %."], 0, {})

@@ -3,7 +3,7 @@
 import pytest
 
 from skyproof.report.figures import many_figure
-from skyproof.results.rows import Headline
+from skyproof.results.result import Headline
 from skyproof.results.statistics.intervals import Interval
 from tests.results.rows import beside, made_row
 

@@ -102,7 +102,7 @@ def test_a_detector_that_was_only_checked_hides_no_alarm(tmp_path: Path) -> None
     write_record(other, ScoreRecord({"other": 0.5}))
     write_json(other / "baselines.json", {"rows": []})
     results = Results.open(tmp_path)
-    assert (results.judges, results.checked) == (["retinanet"], ["retinanet", "other"])
+    assert (results.detectors, results.all_detectors) == (["retinanet"], ["retinanet", "other"])
     found = query_part(results)
     assert found is not None
     assert found.alarms

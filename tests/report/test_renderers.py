@@ -19,8 +19,8 @@ from skyproof.report.renderers import survival
 from skyproof.report.report import write_report
 from skyproof.reproduction.cycles import cycles_columns
 from skyproof.reproduction.reproduction import Reproduction
+from skyproof.results.result import Headline
 from skyproof.results.results import Change, Results
-from skyproof.results.rows import Headline
 from skyproof.results.statistics.intervals import Interval
 from skyproof.words import interval, percent, points
 from tests.report.fabricate import fabricate, fabricate_cycles

@@ -20,7 +20,7 @@ from skyproof.report.answer import answer
 from skyproof.report.figures import condition_figure
 from skyproof.report.report import write_report
 from skyproof.results.conditions import Bin, Panel
-from skyproof.results.rows import Headline
+from skyproof.results.result import Headline
 from skyproof.results.statistics.intervals import Interval
 from skyproof.words import interval, number, percent, probability
 from tests.report.fabricate import fabricate
@@ -292,7 +292,7 @@ def test_a_net_rate_that_could_be_zero_is_not_called_success():
 def test_an_answer_says_what_is_hidden_more_than_average_and_more_than_unlearnt():
     found = beside("R-PixMa_search", 0.3, Interval(0.2, 0.05, 0.3))
     hidden, average, best, *_ = answer(
-        headline(Interval(0.5, 0.4, 0.6), Interval(0.45, 0.3, 0.5), 0.05, unlearnt=found)
+        headline(Interval(0.5, 0.4, 0.6), Interval(0.45, 0.3, 0.5), 0.05, strongest=found)
     )
     assert "hides 50 % (95 % interval 40 to 60 %)" in hidden
     assert average == (
@@ -306,7 +306,7 @@ def test_an_answer_says_what_is_hidden_more_than_average_and_more_than_unlearnt(
     )
     as_good = beside("R-Ma_plain", 0.45, Interval(0.05, -0.02, 0.1))
     _, average, best, *_ = answer(
-        headline(Interval(0.5, 0.4, 0.6), Interval(0.45, 0.3, 0.5), 0.05, unlearnt=as_good)
+        headline(Interval(0.5, 0.4, 0.6), Interval(0.45, 0.3, 0.5), 0.05, strongest=as_good)
     )
     assert "more" in average
     assert "The difference from the strongest control" in best
@@ -314,7 +314,7 @@ def test_an_answer_says_what_is_hidden_more_than_average_and_more_than_unlearnt(
     assert "own effect" not in best
     worse = beside("R-U_best", 0.7, Interval(-0.2, -0.3, -0.1))
     # Where the best of many was judged, nobody misses the average of a few.
-    _, best, _ = answer(headline(Interval(0.5, 0.4, 0.6), unlearnt=worse))
+    _, best, _ = answer(headline(Interval(0.5, 0.4, 0.6), strongest=worse))
     assert "It hides less than" in best
     assert "the best of many random draws" in best
 
@@ -323,7 +323,7 @@ def test_an_answer_says_what_the_shape_of_a_combination_adds():
     same = beside("R-C-Fc-seq@0.2", 0.4, Interval(0.1, 0.04, 0.2))
     even = beside("R-C-U@0.2_plain", 0.1, Interval(0.4, 0.3, 0.5))
     text = answer(
-        headline(Interval(0.5, 0.4, 0.6), name="C-Fc-seq@0.2", drawn_shape=same, unlearnt=even)
+        headline(Interval(0.5, 0.4, 0.6), name="C-Fc-seq@0.2", drawn_shape=same, strongest=even)
     )
     assert "10 points more (95 % interval 4 to 20) than its own texture under" in text[1]
     assert "the best plain paint and every vertex out (10" in text[2]

@@ -61,5 +61,5 @@ def test_looks_judge_nothing(folder):
     before = main_part(Reproduction(Results.open(folder))).tables[0].rows
     write_looks(folder / "looks", FACES)
     results = Results.open(folder)
-    assert results.judges == ["retinanet", "yolov5"]
+    assert results.detectors == ["retinanet", "yolov5"]
     assert main_part(Reproduction(results)).tables[0].rows == before

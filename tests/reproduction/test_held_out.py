@@ -85,9 +85,9 @@ def test_nothing_is_said_beside_fewer_chosen_controls_than_the_renderer_has(fold
     write_scores(own / "more", {"R-U_plain": 0.1, "R-U_search": 0.5}, found=0.5)
     write_scores(own / "cycles-more", {"R-U_plain": 0.1}, found=0.5, renderer="cycles")
     row = next(row for row in tables(folder)["judges"] if row["attack"] == "T-U")
-    assert row["unlearnt_control"] == "R-U_search"
-    assert row["cycles_unlearnt_easr"] is None
-    assert row["cycles_net_unlearnt_easr"] is None
+    assert row["strongest_control"] == "R-U_search"
+    assert row["cycles_strongest_control_easr"] is None
+    assert row["cycles_net_strongest_control_easr"] is None
 
 
 def test_what_judges_find_without_camouflage(folder):

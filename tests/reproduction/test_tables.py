@@ -504,10 +504,10 @@ def test_what_was_chosen_and_not_learnt_stands_in_the_tables(folder):
     )
     page = write_reproduction(folder).read_text()
     row = table(folder, "textures")["T-U"]
-    assert row["unlearnt_control"] == "R-U_best"
-    close(row["unlearnt_easr"], 80)
-    close(row["net_unlearnt_easr"], 10)
-    assert float(row["net_unlearnt_easr_low"]) < 0
+    assert row["strongest_control"] == "R-U_best"
+    close(row["strongest_control_easr"], 80)
+    close(row["net_strongest_control_easr"], 10)
+    assert float(row["net_strongest_control_easr_low"]) < 0
     tests = next(part for part in page.split("\n\n") if part.startswith("Placebo:"))
     # A plain paint all over is a control of T-Fc, too.
     assert "Of 2, 0 surely hide more than every control found without optimisation." in tests
@@ -524,13 +524,13 @@ def test_what_was_chosen_and_not_learnt_on_cycles(folder):
     write_scores(folder / "scores" / "chosen", chosen, found=0.8, renderer="cycles")
     page = write_reproduction(folder).read_text()
     row = table(folder, "textures")["T-U"]
-    assert row["cycles_unlearnt_control"] == "R-U_best"
-    close(row["cycles_unlearnt_easr"], 25)
-    close(row["cycles_net_unlearnt_easr"], 62.5 - 25)
+    assert row["cycles_strongest_control"] == "R-U_best"
+    close(row["cycles_strongest_control_easr"], 25)
+    close(row["cycles_net_strongest_control_easr"], 62.5 - 25)
     # Two repeats that lie so far apart leave it open.
-    assert float(row["cycles_net_unlearnt_easr_low"]) < 0
+    assert float(row["cycles_net_strongest_control_easr_low"]) < 0
     # A learnt shape hides 37.5 % there, every vertex out 50 %.
-    close(table(folder, "shape_combined")["S-O"]["cycles_net_unlearnt_easr"], -12.5)
+    close(table(folder, "shape_combined")["S-O"]["cycles_net_strongest_control_easr"], -12.5)
     # A plain paint all over is a control of T-Fc, too.
     said = "Against the strongest control found without optimisation, 1 of 3 do."
     assert said in page
@@ -538,6 +538,6 @@ def test_what_was_chosen_and_not_learnt_on_cycles(folder):
     write_scores(folder / "scores" / "002", {"R-U_search": 0.7, "R-U_best": 0.2})
     write_reproduction(folder)
     row = table(folder, "textures")["T-U"]
-    assert row["unlearnt_control"] == "R-U_search"
-    assert (row["cycles_unlearnt_control"], row["cycles_net_unlearnt_easr"]) == ("–", "–")
+    assert row["strongest_control"] == "R-U_search"
+    assert (row["cycles_strongest_control"], row["cycles_net_strongest_control_easr"]) == ("–", "–")
     assert row["cycles_easr"] != "–"

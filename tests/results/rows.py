@@ -1,7 +1,7 @@
 """A row of results where only what a test is about is given."""
 
 from skyproof.camouflage.name import CamouflageName
-from skyproof.results.rows import Contrast, Row
+from skyproof.results.result import Contrast, Result
 from skyproof.results.statistics.intervals import Interval
 
 NAN = float("nan")
@@ -29,4 +29,4 @@ def made_row(camouflage, detector, **given):
     values |= dict.fromkeys(("vehicles", "clusters", "repeats"), 1)
     values |= dict.fromkeys(("easr", "asr", "er"), UNKNOWN)
     values |= {"renderer": "torch", "match": "centre_1m"}
-    return Row(CamouflageName.read(camouflage), detector=detector, **{**values, **given})
+    return Result(CamouflageName.read(camouflage), detector=detector, **{**values, **given})

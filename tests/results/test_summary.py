@@ -140,7 +140,7 @@ def test_two_questions_are_tested(rows):
     assert rows["T-U", "retinanet", "iou_50"]["control_p"] is None
 
 
-def test_the_strongest_unlearnt_control_counts_and_the_lowest_limit(rng):
+def test_the_strongest_strongest_control_counts_and_the_lowest_limit(rng):
     # Of 20 vehicles, two on each tile; the paint hides whole tiles, the search one of two.
     hidden = {
         "T-Ma": range(16),
@@ -156,12 +156,12 @@ def test_the_strongest_unlearnt_control_counts_and_the_lowest_limit(rng):
     ]
     made = summary.summarise(count_tiles(found), [], generator=rng)
     row = {str(row.camouflage): row for row in made}["T-Ma"]
-    assert (str(row.unlearnt.control), row.unlearnt.easr) == ("R-Ma_plain", 0.5)
-    assert row.unlearnt.net.estimate == pytest.approx(0.3)
+    assert (str(row.strongest.control), row.strongest.easr) == ("R-Ma_plain", 0.5)
+    assert row.strongest.net.estimate == pytest.approx(0.3)
     # Against the search it hides more, but as surely: a vehicle on each of eight tiles.
     alone = {
         control: next(
-            row.unlearnt
+            row.strongest
             for row in summary.summarise(
                 count_tiles([one for one in found if one.camouflage in ("T-Ma", control)]),
                 [],
@@ -172,15 +172,15 @@ def test_the_strongest_unlearnt_control_counts_and_the_lowest_limit(rng):
         for control in ("R-Ma_plain", "R-Ma_search")
     }
     lowest = min(each.net.low for each in alone.values())
-    assert row.unlearnt.net.low == pytest.approx(lowest, abs=0.02)
+    assert row.strongest.net.low == pytest.approx(lowest, abs=0.02)
     # Six vehicles on three tiles: of eight swaps, two are as uneven; of two to the eighth, two.
     assert alone["R-Ma_plain"].p == 2 / 2**3
     assert alone["R-Ma_search"].p == 2 / 2**8
-    assert row.unlearnt.p == 2 / 2**3
+    assert row.strongest.p == 2 / 2**3
     assert row.random.p == 2 / 2**8
     # What belongs to other constraints is no control of this one, and controls have none.
     others = [one for one in made if str(one.camouflage) != "T-Ma"]
-    assert all(one.unlearnt is None and one.random is None for one in others)
+    assert all(one.strongest is None and one.random is None for one in others)
 
 
 def test_a_combination_stands_beside_its_texture_under_random_shapes(rng):
@@ -195,7 +195,7 @@ def test_a_combination_stands_beside_its_texture_under_random_shapes(rng):
     assert row["drawn_shape_easr"] == pytest.approx(9 / 20)
     assert row["net_drawn_shape_easr"] == pytest.approx(6 / 20)
     assert row["random_easr"] == pytest.approx(2 / 20)
-    assert row["unlearnt_control"] is row["net_unlearnt_easr"] is None
+    assert row["strongest_control"] is row["net_strongest_control_easr"] is None
 
 
 def test_holm_runs_over_the_camouflages_of_one_detector(rng):

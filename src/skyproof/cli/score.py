@@ -173,7 +173,7 @@ class Score(Rendering):
                     f"  {row.camouflage!s:<24} {row.detector:<14} EASR "
                     f"{percent(row.easr.estimate)} ({limits})"
                 )
-        for check in results.checks:
+        for check in results.baselines:
             ap = check.ap_centre_1m
             if not check.vehicles:
                 say(

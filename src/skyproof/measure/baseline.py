@@ -19,7 +19,7 @@ from skyproof.detectors.matching import MatchTable
 from skyproof.errors import ConfigurationError
 from skyproof.measure.views import View, look
 from skyproof.results.baseline import Baseline, BestF1
-from skyproof.results.rows import MAIN_MATCH
+from skyproof.results.result import MAIN_MATCH
 from skyproof.results.statistics.intervals import (
     Interval,
     bootstrap_interval,

@@ -23,7 +23,7 @@ from skyproof.measure.views import Stage, View, counter, views
 from skyproof.render.renderer import TorchRenderer
 from skyproof.results.pairs.tiles import count_cells
 from skyproof.results.precheck import Kind, MeasuredOn, PrecheckRecord, Rate
-from skyproof.results.rows import MAIN_MATCH
+from skyproof.results.result import MAIN_MATCH
 from skyproof.results.statistics.contrasts import Group, mean_interval
 from skyproof.results.statistics.sample import Sample
 from skyproof.scenes.backgrounds import BackgroundSet

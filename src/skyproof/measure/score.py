@@ -18,7 +18,7 @@ from skyproof.measure.views import Change, Stage, View, counter, refuse_twice, v
 from skyproof.results.baseline import Baseline
 from skyproof.results.pairs.outcomes import MATCHES, Outcome, write_outcomes
 from skyproof.results.pictures import choose_scenes, draw_scene
-from skyproof.results.rows import MAIN_MATCH
+from skyproof.results.result import MAIN_MATCH
 from skyproof.results.rows_file import write_rows
 from skyproof.results.score_folder import (
     Pair,

@@ -23,7 +23,7 @@ from skyproof.render.dataset import in_threads, placed_vehicles
 from skyproof.render.frames import Frames, Renderer
 from skyproof.render.renderer import TorchRenderer
 from skyproof.results.pairs.outcomes import ORIGINAL, Match
-from skyproof.results.rows import MAIN_MATCH
+from skyproof.results.result import MAIN_MATCH
 from skyproof.scenes.scene import Scene
 from skyproof.vehicles.fleet import Fleet
 

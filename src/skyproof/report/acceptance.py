@@ -23,8 +23,8 @@ from skyproof.report.acceptance_figure import chances_figure
 from skyproof.results.findings import findings, worst
 from skyproof.results.pairs.tiles import TileCounts
 from skyproof.results.precheck import read_prechecks
+from skyproof.results.result import MAIN_MATCH
 from skyproof.results.results import RENDERER, Results
-from skyproof.results.rows import MAIN_MATCH
 from skyproof.results.statistics.acceptance import Decision, Evidence, Requirement, decide
 from skyproof.results.statistics.compliance import chances_on_tiles
 from skyproof.results.statistics.planning import assume_from_pilot, tiles_to_show
@@ -103,7 +103,7 @@ def rule(results: Results, requirement: Requirement, alarms: Sequence[str] = ())
     """
     checked = read_prechecks(Layout(results.folder).detectors)
     rulings = []
-    for name in results.judges:
+    for name in results.detectors:
         attacks = _attacks(results.tiles, name)
         if not attacks:
             raise ConfigurationError(
@@ -135,7 +135,7 @@ def write_verdict(
 ) -> None:
     """Writes `verdict.json`: the answers, and digests of everything that they rest on."""
     layout = Layout(results.folder)
-    facts = results.detectors
+    cards = results.cards
     scenes = layout.scenes("test")
     document = {
         "skyproof": skyproof.__version__,
@@ -148,8 +148,8 @@ def write_verdict(
                 "answer": ruling.answer,
                 "sentences": list(ruling.sentences),
                 "more_vehicles": ruling.more_vehicles,
-                "weights_sha256": facts[ruling.detector].weights_sha256
-                if ruling.detector in facts
+                "weights_sha256": cards[ruling.detector].weights_sha256
+                if ruling.detector in cards
                 else "",
                 "attacks": {name: asdict(said) for name, said in ruling.attacks.items()},
             }

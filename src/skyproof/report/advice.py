@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 from skyproof import words
 from skyproof.camouflage.name import CamouflageName
+from skyproof.results.result import MEAN, Headline
 from skyproof.results.results import Results
-from skyproof.results.rows import MEAN, Headline
 
 _FEW_TILES = 20
 _MUCH_BY_CHANCE = 0.1
@@ -44,13 +44,13 @@ def advice(headline: Headline) -> list[str]:
             f"Random patterns already hide {words.percent(random.easr)}, so the detectors depend "
             "on ordinary vehicle colours. Train with more varied vehicle textures first."
         )
-    unlearnt = headline.row.unlearnt
-    if unlearnt is not None and unlearnt.easr > _MUCH_BY_CHANCE:
+    strongest = headline.row.strongest
+    if strongest is not None and strongest.easr > _MUCH_BY_CHANCE:
         sentences.append(
-            f"The control {unlearnt.control} hides {words.percent(unlearnt.easr)} without any "
+            f"The control {strongest.control} hides {words.percent(strongest.easr)} without any "
             "optimisation. This weakness is the cheapest to close: add such vehicles to training."
         )
-    surest = unlearnt or random
+    surest = strongest or random
     if surest is not None and surest.net.low > 0:
         sentences.append(
             "The optimised pattern hides more than its controls, so variety alone may not "
@@ -129,7 +129,7 @@ def limits(
                 "the attack’s own scenes, so more steps may hide more."
             )
     names = [
-        words.detector_name(name) for name, card in results.detectors.items() if card.size == "slim"
+        words.detector_name(name) for name, card in results.cards.items() if card.size == "slim"
     ]
     if names:
         sentences.append(f"{', '.join(names)}: reduced (slim) versions of the published networks.")

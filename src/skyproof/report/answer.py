@@ -6,8 +6,8 @@ import math
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.report.uncertainty import left_out
+from skyproof.results.result import MEAN, Contrast, Headline, Result
 from skyproof.results.results import RENDERER
-from skyproof.results.rows import MEAN, Contrast, Headline, Row
 from skyproof.results.statistics.intervals import Interval
 from skyproof.results.worst import WorstCase
 from skyproof.words import detector_name, interval, percent, points, renderer_name
@@ -55,7 +55,7 @@ def answer(headline: Headline) -> list[str]:
     return [*sentences, *_beside_controls(row), *lenient, *left_out(row)]
 
 
-def _leniently(row: Row, lenient: Row) -> str:
+def _leniently(row: Result, lenient: Result) -> str:
     """Says what is hidden by the lenient rule, which matters for counting vehicles."""
     said = (
         "By the lenient rule, which accepts a detection anywhere in the vehicle’s box, it hides "
@@ -86,7 +86,7 @@ def worst_case(case: WorstCase) -> str:
     )
 
 
-def _beside_controls(row: Row) -> list[str]:
+def _beside_controls(row: Result) -> list[str]:
     """Says how much more it hides than random controls and than the strongest chosen control.
 
     Of a combination it also says what the optimised shape adds.
@@ -94,21 +94,21 @@ def _beside_controls(row: Row) -> list[str]:
     sentences = []
     if row.random is not None:
         sentences.append(_more(row.random, "an average random pattern of the same kind"))
-    elif row.unlearnt is None:
+    elif row.strongest is None:
         sentences.append(
             "No random control was scored, so the share that any pattern hides is unknown."
         )
     if row.drawn_shape is not None:
         sentences.append(_more(row.drawn_shape, "its own texture under random shapes"))
-    if row.unlearnt is None:
+    if row.strongest is None:
         sentences.append(
             "No chosen control was scored (best plain paint, best of many random draws, random "
             "search), so the effect of the optimisation is unknown."
         )
         return sentences
-    strongest = f"the strongest control without optimisation, {_how(row.unlearnt.control)}"
-    sentences.append(_more(row.unlearnt, strongest))
-    if row.unlearnt.net.low > 0:
+    strongest = f"the strongest control without optimisation, {_how(row.strongest.control)}"
+    sentences.append(_more(row.strongest, strongest))
+    if row.strongest.net.low > 0:
         sentences[-1] += " The difference is the optimisation’s own effect."
     return sentences
 

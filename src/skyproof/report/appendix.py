@@ -6,12 +6,12 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
+from skyproof.results.result import LENIENT_MATCH, MAIN_MATCH, Result
 from skyproof.results.results import Results
-from skyproof.results.rows import LENIENT_MATCH, MAIN_MATCH, Row
 from skyproof.words import renderer_name
 
 
-def full_tables(results: Results) -> list[tuple[str, list[Row]]]:
+def full_tables(results: Results) -> list[tuple[str, list[Result]]]:
     """Groups the rows by match criterion and renderer, with headings; the main criterion first."""
     criteria = {
         MAIN_MATCH: "found = centre within 1.0 m",

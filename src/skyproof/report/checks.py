@@ -52,10 +52,12 @@ class Standing:
 def checked_sets(results: Results) -> list[CheckedSet]:
     """Lists the image sets of the baseline, rendered ones first, entries by detector."""
     sets = []
-    for name in dict.fromkeys(check.dataset for check in results.checks):
-        by_detector = {check.detector: check for check in results.checks if check.dataset == name}
+    for name in dict.fromkeys(check.dataset for check in results.baselines):
+        by_detector = {
+            check.detector: check for check in results.baselines if check.dataset == name
+        }
         some = next(iter(by_detector.values()))
-        checks = [by_detector.get(detector) for detector in results.checked]
+        checks = [by_detector.get(detector) for detector in results.all_detectors]
         sets.append(CheckedSet(name, some.real, _contents(some), checks))
     return sorted(sets, key=lambda checked: checked.real)
 
@@ -75,7 +77,7 @@ def _contents(check: Baseline) -> str:
 def standing(results: Results) -> Standing:
     """Says what data the report rests on; that all of it is synthetic comes first."""
     real = [checked for checked in checked_sets(results) if checked.real]
-    scores = _scores(real, results.checked)
+    scores = _scores(real, results.all_detectors)
     synthetic = results.sources == ["procedural"]
     if synthetic and not real:
         return Standing(
@@ -126,7 +128,7 @@ def standing(results: Results) -> Standing:
             if real
             else unchecked,
         ]
-    weak = _weak(real, results.checked)
+    weak = _weak(real, results.all_detectors)
     if weak:
         sentences.append(
             f"{weak}: attacks on detectors with so low a baseline may say little about real "

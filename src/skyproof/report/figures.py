@@ -15,7 +15,7 @@ from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 
 from skyproof.results.conditions import Panel
-from skyproof.results.rows import Headline, Row
+from skyproof.results.result import Headline, Result
 from skyproof.results.statistics.intervals import Interval
 from skyproof.words import detector_name
 
@@ -63,13 +63,15 @@ def many_figure(headlines: Sequence[Headline]) -> str:
     return _forest(f"many-{headlines[0].renderer}", rows, controls)
 
 
-def _forest(salt: str, rows: Sequence[tuple[str, Row]], controls: Sequence[Row | None]) -> str:
+def _forest(
+    salt: str, rows: Sequence[tuple[str, Result]], controls: Sequence[Result | None]
+) -> str:
     randoms = [None if row is None else row.easr for row in controls]
-    unlearnt = [None if row.unlearnt is None else row.unlearnt.net for _, row in rows]
+    strongest = [None if row.strongest is None else row.strongest.net for _, row in rows]
     series: list[tuple[str, str, str, float, list[Interval | None]]] = [
         ("camouflage: share hidden (EASR)", "o", BLUE, -0.22, [row.easr for _, row in rows]),
         ("net of random patterns", "D", GREEN, -0.07, [row.net_easr for _, row in rows]),
-        ("net of the best unlearnt one", "^", ORANGE, 0.08, unlearnt),
+        ("net of the strongest control", "^", ORANGE, 0.08, strongest),
         ("random patterns", "s", GREY, 0.23, randoms),
     ]
     with plt.rc_context(STYLE | {"svg.hashsalt": salt}):

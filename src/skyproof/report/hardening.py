@@ -12,8 +12,8 @@ from skyproof.layout import Layout
 from skyproof.results.conditions import Bin, Panel
 from skyproof.results.findings import findings
 from skyproof.results.precheck import read_prechecks
+from skyproof.results.result import Headline
 from skyproof.results.results import Results
-from skyproof.results.rows import Headline
 from skyproof.scenes.scene import read_scenes
 
 _STRONGEST = 2
@@ -105,7 +105,9 @@ def hardening(
 def _fails_at_coats(results: Results) -> bool:
     """Whether a detector failed its check at paints, or at random patterns."""
     records = read_prechecks(Layout(results.folder).detectors)
-    found = [each for name in results.judges if name in records for each in findings(records[name])]
+    found = [
+        each for name in results.detectors if name in records for each in findings(records[name])
+    ]
     failed = [each for each in found if each.outcome == "failed" and each.rates]
     return any(each.rates[0].kind in _COATS for each in failed)
 

@@ -6,8 +6,8 @@ from markupsafe import Markup
 
 from skyproof.layout import Layout
 from skyproof.report.figures import loss_figure
+from skyproof.results.result import Headline
 from skyproof.results.results import Results
-from skyproof.results.rows import Headline
 from skyproof.results.stored import read_log
 
 
@@ -26,7 +26,7 @@ def attack_loss(results: Results, headline: Headline) -> Markup | None:
 def training_loss(results: Results) -> Markup | None:
     """Draws the losses of the trainings of all detectors; None where none is kept."""
     curves = {}
-    for name in results.detectors:
+    for name in results.cards:
         path = Layout(results.folder).detector(name) / "steps.jsonl"
         # The log holds validations too, which have no loss.
         rows = read_log(path) if path.exists() else []

@@ -11,7 +11,7 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.report.acceptance import Acceptance, Ruling
 from skyproof.report.checks import CheckedSet
 from skyproof.report.precheck import PrecheckPart
-from skyproof.results.rows import MEAN, Headline
+from skyproof.results.result import MEAN, Headline
 from skyproof.results.statistics.intervals import Interval
 from skyproof.words import detector_name, interval, listed, percent
 

@@ -99,12 +99,12 @@ def precheck_part(results: Results) -> PrecheckPart:
         StoredFileError: a `precheck.json`, or the file of the test scenes, is damaged.
     """
     records = read_prechecks(Layout(results.folder).detectors)
-    found = {name: findings(records[name]) for name in results.judges if name in records}
-    states = [_state(name, found.get(name)) for name in results.judges]
+    found = {name: findings(records[name]) for name in results.detectors if name in records}
+    states = [_state(name, found.get(name)) for name in results.detectors]
     notes = _elsewhere({name: records[name].measured_on for name in found}, results)
-    for name in results.judges:
-        if name in results.detectors:
-            notes += results.detectors[name].doubts(detector_name(name))
+    for name in results.detectors:
+        if name in results.cards:
+            notes += results.cards[name].doubts(detector_name(name))
     for name in found:
         notes += misfit_thresholds(records[name].sets)
     if any(state.outcome == "failed" for state in states):

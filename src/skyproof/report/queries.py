@@ -11,8 +11,8 @@ from markupsafe import Markup
 
 from skyproof.camouflage.name import ASKED, TRANSFER, CamouflageName
 from skyproof.report.queries_figure import Curve, queries_figure
+from skyproof.results.result import LENIENT_MATCH
 from skyproof.results.results import Results
-from skyproof.results.rows import LENIENT_MATCH
 from skyproof.results.statistics.intervals import Interval
 from skyproof.results.statistics.repeats import SEEDS
 from skyproof.words import interval, percent, points
@@ -22,7 +22,7 @@ _KEPT = re.compile(rf"{ASKED}(?P<images>\d+)")
 
 
 @dataclass(frozen=True)
-class Row:
+class QueryResult:
     """One attack.
 
     Attributes:
@@ -57,7 +57,7 @@ class QueryPart:
         told: the conclusion.
     """
 
-    rows: Sequence[Row]
+    rows: Sequence[QueryResult]
     figure: Markup
     only: bool
     alarms: Sequence[str]
@@ -94,7 +94,7 @@ def _is_final(results: Results, name: CamouflageName) -> bool:
     return record is not None and record.queries is not None and not name.random
 
 
-def _row(results: Results, name: CamouflageName) -> Row | None:
+def _row(results: Results, name: CamouflageName) -> QueryResult | None:
     base = name.base
     asked = results.single_interval(str(name))
     record = results.records[str(name)].queries
@@ -102,7 +102,7 @@ def _row(results: Results, name: CamouflageName) -> Row | None:
         return None
     search = base.control.with_variant("search")
     lenient = results.row(name, match=LENIENT_MATCH)
-    return Row(
+    return QueryResult(
         base,
         results.single_interval(str(base)) if name.variant == ASKED else None,
         results.single_interval(str(base.with_variant(TRANSFER))),
@@ -114,7 +114,7 @@ def _row(results: Results, name: CamouflageName) -> Row | None:
     )
 
 
-def _curves(results: Results, row: Row, scored: Sequence[CamouflageName]) -> list[Curve]:
+def _curves(results: Results, row: QueryResult, scored: Sequence[CamouflageName]) -> list[Curve]:
     """Success against queries, of the attack and of the random search beside it."""
     own = [(0, row.transfer), *_kept(results, row.name, scored, ""), (row.images, row.asked)]
     curves = [Curve(str(row.name), _known(own), random=False)]
@@ -141,7 +141,7 @@ def _known(curve: Sequence[tuple[int, Interval | None]]) -> list[tuple[int, Inte
     return [(images, rate) for images, rate in curve if rate is not None]
 
 
-def _more(results: Results, row: Row) -> _More | None:
+def _more(results: Results, row: QueryResult) -> _More | None:
     """Gives how much more queries hide than gradients; None where that is not significant."""
     if row.gradients is None:
         return None
@@ -159,7 +159,9 @@ def _more(results: Results, row: Row) -> _More | None:
     return _More(told, misleads=more.estimate > reach)
 
 
-def _told(rows: Sequence[Row], only: bool, alarms: Sequence[str], small: Sequence[str]) -> str:
+def _told(
+    rows: Sequence[QueryResult], only: bool, alarms: Sequence[str], small: Sequence[str]
+) -> str:
     if only:
         return (
             "This detector is a black box. Every attack was optimised on the detectors that come "

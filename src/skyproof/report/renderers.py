@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 
 from skyproof import words
+from skyproof.results.result import Headline, Result
 from skyproof.results.results import Change, Results
-from skyproof.results.rows import Headline, Row
 from skyproof.results.statistics.intervals import Interval
 
 
@@ -16,10 +16,10 @@ class Compared:
     """One detector's rows under two renderers, and by how much EASR and net EASR change."""
 
     detector: str
-    first: Row
-    second: Row
-    first_random: Row | None
-    second_random: Row | None
+    first: Result
+    second: Result
+    first_random: Result | None
+    second_random: Result | None
     change: Interval | None
     net_change: Interval | None
 

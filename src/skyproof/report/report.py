@@ -33,8 +33,8 @@ from skyproof.report.queries import query_part
 from skyproof.report.renderers import Compared, compare_renderers, survival
 from skyproof.report.uncertainty import error_rows
 from skyproof.results.conditions import Panel, condition_panels
+from skyproof.results.result import Headline
 from skyproof.results.results import Results
-from skyproof.results.rows import Headline
 from skyproof.results.statistics.acceptance import Requirement
 from skyproof.results.worst import worst_cases
 
@@ -160,7 +160,7 @@ class _Known(Struct, frozen=True):
     """The form of `results.json`."""
 
     rows: list[dict[str, Any]]
-    checks: list[dict[str, Any]]
+    baselines: list[dict[str, Any]]
 
 
 def _write(

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from skyproof.results.result import Headline, Result
 from skyproof.results.results import Results
-from skyproof.results.rows import Headline, Row
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ def error_rows(results: Results) -> list[ErrorRow]:
     return [_error_row(headline) for headline in results.headlines()]
 
 
-def left_out(row: Row) -> list[str]:
+def left_out(row: Result) -> list[str]:
     """Names each source of variation that the intervals of a row do not cover."""
     sentences = []
     if "vehicles" not in row.easr.errors and "tiles" in row.easr.errors:

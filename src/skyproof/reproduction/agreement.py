@@ -33,8 +33,8 @@ from skyproof.reproduction.cells import (
 from skyproof.reproduction.paper_results import ON_BLENDER, ON_RENDERER, PAPER_RESULTS
 from skyproof.reproduction.reproduction import Reproduction, point_name
 from skyproof.results.pairs.tiles import TileCounts
+from skyproof.results.result import MAIN_MATCH
 from skyproof.results.results import CYCLES, RENDERER
-from skyproof.results.rows import MAIN_MATCH
 from skyproof.results.statistics.intervals import Interval
 from skyproof.results.statistics.rates import overall_attack_success_rate
 from skyproof.results.statistics.sample import Sample

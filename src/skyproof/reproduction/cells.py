@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from skyproof.results.rows import Row
+from skyproof.results.result import Result
 from skyproof.results.statistics.intervals import Interval
 
 _STAR = re.compile(r"(?<!\*)\*(?!\*)")
@@ -23,10 +23,10 @@ _RATES = (
     "net_easr",
     "net_easr_low",
     "net_easr_high",
-    "unlearnt_easr",
-    "net_unlearnt_easr",
-    "net_unlearnt_easr_low",
-    "net_unlearnt_easr_high",
+    "strongest_control_easr",
+    "net_strongest_control_easr",
+    "net_strongest_control_easr_low",
+    "net_strongest_control_easr_high",
     "drawn_shape_easr",
     "net_drawn_shape_easr",
     "net_drawn_shape_easr_low",
@@ -71,11 +71,11 @@ def interval_cells(name: str, interval: Interval, scale: float = 1.0) -> dict[st
     }
 
 
-def in_percent(row: Row | None) -> dict[str, Any]:
+def in_percent(row: Result | None) -> dict[str, Any]:
     """Gives a row of results in percent and points; None where there is no row."""
     values = {} if row is None else row.json()
     rates = {name: values.get(name) for name in _RATES}
-    told = ("repeats", "random_draws", "unlearnt_control")
+    told = ("repeats", "random_draws", "strongest_control")
     return {name: values.get(name) for name in told} | {
         name: None if value is None else 100 * value for name, value in rates.items()
     }

@@ -17,7 +17,7 @@ from skyproof.reproduction.cells import (
     number,
 )
 from skyproof.reproduction.reproduction import Reproduction
-from skyproof.results.rows import LENIENT_MATCH, Row
+from skyproof.results.result import LENIENT_MATCH, Result
 from skyproof.words import detector_name
 
 _OVERLAP = "iou_50"
@@ -86,7 +86,7 @@ def _on_empty_ground(run: Reproduction) -> list[Block]:
     """Says what is found on images without vehicles; nothing where none were shown."""
     found = [
         f"{detector_name(check.detector)} {number(check.false_alarms_per_km2, 0)}"
-        for check in run.results.checks
+        for check in run.results.baselines
         if not check.vehicles and not math.isnan(check.false_alarms_per_km2)
     ]
     if not found:
@@ -94,7 +94,7 @@ def _on_empty_ground(run: Reproduction) -> list[Block]:
     return [f"On test ground without vehicles, false alarms per km²: {', '.join(found)}."]
 
 
-def _by_overlap(row: Row) -> dict[str, float]:
+def _by_overlap(row: Result) -> dict[str, float]:
     return {
         **interval_cells("easr_iou_50", row.easr, 100.0),
         "ap_iou_50_original": 100 * row.ap_original,

@@ -18,8 +18,8 @@ from skyproof.report.figures import GREY, INK, STYLE, as_files
 from skyproof.reproduction.paper_results import PAPER_RESULTS
 from skyproof.results.pairs.tiles import Series, TileCounts
 from skyproof.results.repeats import repeat_of
+from skyproof.results.result import MAIN_MATCH
 from skyproof.results.results import RENDERER
-from skyproof.results.rows import MAIN_MATCH
 from skyproof.results.statistics.contrasts import Group, mean_interval
 from skyproof.results.statistics.intervals import Interval
 from skyproof.results.statistics.rates import overall_attack_success_rate

@@ -29,13 +29,13 @@ from skyproof.reproduction.cells import (
 )
 from skyproof.reproduction.paper_results import ON_BLENDER, PAPER_RESULTS
 from skyproof.reproduction.reproduction import Reproduction
+from skyproof.results.result import MAIN_MATCH
 from skyproof.results.results import CYCLES, RENDERER, Results
-from skyproof.results.rows import MAIN_MATCH
 from skyproof.words import detector_name
 
 ALONE = "‡"
 
-_COLUMNS = ("easr", "random_", "net_easr", "unlearnt_", "net_unlearnt_easr", "apd")
+_COLUMNS = ("easr", "random_", "net_easr", "strongest_control", "net_strongest_control_easr", "apd")
 _KINDS: Mapping[str, Callable[[str], bool]] = {
     "textures": lambda name: name.startswith("T-"),
     "shapes": lambda name: name.startswith("S-"),
@@ -109,7 +109,7 @@ def rates_under(
     wanted = [control for control in name.unlearnt if results.row(control, detector)]
     if all(results.row(control, detector, renderer=renderer) for control in wanted):
         return rates
-    return rates | {key: None for key in rates if "unlearnt" in key}
+    return rates | {key: None for key in rates if "strongest_control" in key}
 
 
 def _names(run: Reproduction) -> list[str]:
@@ -257,9 +257,9 @@ def _placebo(rows: Sequence[Mapping[str, Any]]) -> str:
             " Compared with a single draw there, which says nothing about others: "
             f"{', '.join(single)}."
         )
-    compared = [row for row in rows if row["cycles_net_unlearnt_easr_low"] is not None]
+    compared = [row for row in rows if row["cycles_net_strongest_control_easr_low"] is not None]
     if compared:
-        above = [row for row in compared if row["cycles_net_unlearnt_easr_low"] > 0]
+        above = [row for row in compared if row["cycles_net_strongest_control_easr_low"] > 0]
         text += (
             f" Against the strongest control found without optimisation, {len(above)} of "
             f"{len(compared)} do."

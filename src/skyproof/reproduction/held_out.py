@@ -32,8 +32,8 @@ from skyproof.reproduction.cycles import rates_under
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.results.baseline import Baseline
 from skyproof.results.precheck import read_prechecks
+from skyproof.results.result import MEAN
 from skyproof.results.results import CYCLES, RENDERER, Results
-from skyproof.results.rows import MEAN
 from skyproof.words import detector_name
 
 _WEAK = 80.0
@@ -67,7 +67,7 @@ def held_out_part(run: Reproduction) -> Part:
 
 def judge_names(results: Results) -> list[str]:
     """Lists those who judge in one table, their mean last where there is one."""
-    return [*results.judges, *([MEAN] if len(results.judges) > 1 else [])]
+    return [*results.detectors, *([MEAN] if len(results.detectors) > 1 else [])]
 
 
 def judged_rows(run: Reproduction, table: str) -> list[dict[str, Any]]:
@@ -103,8 +103,8 @@ def _baselines(run: Reproduction, table: str) -> list[dict[str, Any]]:
     results = run.judges[table]
     records = read_prechecks(Layout(results.folder).detectors)
     rows = []
-    for judge in results.judges:
-        facts = results.detectors.get(judge)
+    for judge in results.detectors:
+        facts = results.cards.get(judge)
         told = {"table": table, "detector": judge}
         told["trained_on"] = facts.trained_on if facts else ""
         if facts and facts.validation.ap_centre_1m is not None:
@@ -118,7 +118,7 @@ def _baselines(run: Reproduction, table: str) -> list[dict[str, Any]]:
                 }
             )
         checked = [check for check in records[judge].sets if check.real] if judge in records else []
-        here = [check for check in results.checks if check.detector == judge]
+        here = [check for check in results.baselines if check.detector == judge]
         rows += [{**told, **_check(check)} for check in (*checked, *here)]
     return rows
 
@@ -146,7 +146,7 @@ def _table(
     unknown = "images that are not recorded"
     origins = dict.fromkeys(row["trained_on"] or unknown for row in baselines)
     parts: list[Block] = [
-        Heading(f"{table}: {', '.join(map(detector_name, results.judges))}", 3),
+        Heading(f"{table}: {', '.join(map(detector_name, results.detectors))}", 3),
         f"They learnt from “{'”, “'.join(origins)}”. What they reach without camouflage, in "
         "percent; found, and right of what was reported, at the frozen threshold:",
         Grid(
@@ -166,7 +166,7 @@ def _table(
             f"judges-{table}",
             f"{table}: share of the vehicles found before that each attack hides (EASR), and what "
             "random draws under the same constraints hide",
-            _figure(table, results.judges, hidden),
+            _figure(table, results.detectors, hidden),
         ),
     ]
     for renderer, prefix in _PREFIXES.items():
@@ -199,7 +199,7 @@ def _doubts(baselines: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _grid(judges: Sequence[str], hidden: Sequence[Mapping[str, Any]], prefix: str) -> Grid:
-    known = {"easr": "EASR", "net_easr": "net", "net_unlearnt_easr": "net of best control"}
+    known = {"easr": "EASR", "net_easr": "net", "net_strongest_control_easr": "net of best control"}
     # What no attack has, such as chosen controls on Cycles, gets no column.
     rates = {
         key: words

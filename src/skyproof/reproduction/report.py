@@ -17,8 +17,8 @@ from skyproof.reproduction.cells import Block, Figure, Grid, Heading, as_markdow
 from skyproof.reproduction.page import paper_parts
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.reproduction.tables import shape_table, texture_table
+from skyproof.results.result import MAIN_MATCH
 from skyproof.results.results import RENDERER, Results
-from skyproof.results.rows import MAIN_MATCH
 from skyproof.words import detector_name
 
 
@@ -102,7 +102,7 @@ def _preamble(run: Reproduction) -> list[Block]:
     parts: list[Block] = [Heading(title, 1), f"**Worth attacking?** {gate}"]
     scores = _standing(run)
     checked = f" (AP with centres within 1 m: {scores})" if scores else ""
-    real = any(check.real for check in run.results.checks)
+    real = any(check.real for check in run.results.baselines)
     if run.results.sources == ["procedural"] and not real:
         parts.append(
             "**Synthetic data only.** Ground and vehicles are computer-generated, and the "

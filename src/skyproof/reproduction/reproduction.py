@@ -17,8 +17,8 @@ from skyproof.reproduction.curves import Curve, curve_families, practicality_cur
 from skyproof.reproduction.paper_results import PAPER_RESULTS
 from skyproof.reproduction.stored_features import Features, read_features
 from skyproof.reproduction.stored_looks import Looks, read_looks
+from skyproof.results.result import Result
 from skyproof.results.results import CYCLES, RENDERER, Results
-from skyproof.results.rows import Row
 from skyproof.results.stored import AttackRecord, Practicality
 
 _FEWEST = 3
@@ -42,7 +42,7 @@ class Reproduction:
 
     def __init__(self, results: Results) -> None:
         self.results = results
-        self.detectors = results.judges
+        self.detectors = results.detectors
         self.cycles = CYCLES in results.renderers
         self.names = [str(name) for name in results.names]
         self.records: Mapping[str, AttackRecord] = results.records
@@ -58,7 +58,7 @@ class Reproduction:
 
     def row(
         self, name: str, detector: str | None = None, *, renderer: str = RENDERER
-    ) -> Row | None:
+    ) -> Result | None:
         """Finds a camouflage's row, of the mean over detectors or of one; None if not scored."""
         return self.results.row(CamouflageName.read(name), detector, renderer=renderer)
 
@@ -69,11 +69,11 @@ class Reproduction:
     def corrected_p(self, name: str) -> dict[str, float | None]:
         """Finds by test the largest Holm-corrected p of the detectors; None where one is untested.
 
-        The tests are those that `Row.json` has under these names.
+        The tests are those that `Result.json` has under these names.
         """
         rows = [self.row(name, detector) for detector in self.detectors]
         told = [{} if row is None else row.json() for row in rows]
-        tests = ("control_p_holm", "unlearnt_p_holm", "no_camouflage_p_holm")
+        tests = ("control_p_holm", "strongest_control_p_holm", "no_camouflage_p_holm")
         return {test: _largest([row.get(test) for row in told]) for test in tests}
 
     @cached_property

@@ -130,13 +130,13 @@ def _cells(row: Mapping[str, Any]) -> list[str]:
         span(row["easr_repeat_min"], row["easr_repeat_max"]),
         number(row["random_easr"]),
         bracket(row, "net_easr"),
-        number(row["unlearnt_easr"]),
-        bracket(row, "net_unlearnt_easr"),
+        number(row["strongest_control_easr"]),
+        bracket(row, "net_strongest_control_easr"),
         number(row["apd"]),
     ]
     papers = [number(row["paper_easr"], 2) + mark]
     if "cycles_easr" in row:
-        names = ("cycles_easr", "cycles_net_easr", "cycles_net_unlearnt_easr")
+        names = ("cycles_easr", "cycles_net_easr", "cycles_net_strongest_control_easr")
         alone = ALONE if alone_on_cycles(row) else ""
         cells += [bracket(row, name) + (alone if row[name] is not None else "") for name in names]
         papers.append(

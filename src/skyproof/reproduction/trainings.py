@@ -27,8 +27,8 @@ from skyproof.reproduction.reproduction import Reproduction
 from skyproof.results.merge import merge_counts
 from skyproof.results.pairs.tiles import Cell, Series, TileCounts
 from skyproof.results.repeats import repeat_of
+from skyproof.results.result import MAIN_MATCH, MEAN
 from skyproof.results.results import RENDERER, Results
-from skyproof.results.rows import MAIN_MATCH, MEAN
 from skyproof.results.score_folder import ScoreFolder
 from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
 from skyproof.results.statistics.intervals import Interval
@@ -300,7 +300,7 @@ def read_trainings(results: Results) -> list[Training]:
         ConfigurationError: two trainings differ in data, recipe or test vehicles, or are the same.
         StoredFileError: a file is damaged.
     """
-    own = Training(0, results.tiles, results.detectors)
+    own = Training(0, results.tiles, results.cards)
     layout = Layout(results.folder)
     names = [path.name for path in layout.trainings.glob("*") if path.name.isdecimal()]
     trainings = [own]

@@ -9,8 +9,8 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
 from skyproof.reproduction.cells import Grid, Heading, Part, Table, bracket, interval_cells
 from skyproof.reproduction.reproduction import Reproduction
+from skyproof.results.result import MAIN_MATCH, MEAN, Result
 from skyproof.results.results import RENDERER
-from skyproof.results.rows import MAIN_MATCH, MEAN, Row
 from skyproof.words import detector_name
 
 _OF_SOME = ("on_", "without_")
@@ -46,7 +46,7 @@ def transfer_part(run: Reproduction) -> Part:
 
 
 def transfer_rows(
-    rows: Sequence[Row],
+    rows: Sequence[Result],
     attacked: Mapping[CamouflageName, Sequence[str]],
     *,
     base: CamouflageName,

@@ -51,8 +51,10 @@ def _tests(run: Reproduction, rows: Sequence[Mapping[str, Any]]) -> str:
     controlled = {n: row for n, row in learnt.items() if row["net_easr_low"] is not None}
     below = [name for name, row in controlled.items() if row["net_easr_low"] <= 0]
     single = [name for name, row in controlled.items() if row["random_draws"] == 1]
-    chosen = {n: row for n, row in learnt.items() if row["net_unlearnt_easr_low"] is not None}
-    unsure = [name for name, row in chosen.items() if row["net_unlearnt_easr_low"] <= 0]
+    chosen = {
+        n: row for n, row in learnt.items() if row["net_strongest_control_easr_low"] is not None
+    }
+    unsure = [name for name, row in chosen.items() if row["net_strongest_control_easr_low"] <= 0]
     drawn = {n: row for n, row in learnt.items() if row["control_p_holm"] is not None}
     like_drawn = [name for name, row in drawn.items() if row["control_p_holm"] >= _SURE]
     tested = {n: row for n, row in learnt.items() if row["no_camouflage_p_holm"] is not None}

@@ -30,8 +30,8 @@ from skyproof.reproduction.cells import (
 )
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.reproduction.stored_looks import PairLooks
+from skyproof.results.result import MAIN_MATCH
 from skyproof.results.results import RENDERER
-from skyproof.results.rows import MAIN_MATCH
 from skyproof.results.statistics.intervals import Interval
 from skyproof.words import percent
 

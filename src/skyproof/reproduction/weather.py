@@ -29,8 +29,8 @@ from skyproof.reproduction.cells import (
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.results.conditions import shared_groups
 from skyproof.results.pairs.outcomes import Outcome
+from skyproof.results.result import MEAN
 from skyproof.results.results import RENDERER, Results
-from skyproof.results.rows import MEAN
 from skyproof.results.statistics.contrasts import difference_interval, mean_interval
 from skyproof.scenes.weather import CONDITIONS
 

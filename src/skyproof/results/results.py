@@ -19,7 +19,7 @@ from skyproof.results.merge import merge_counts
 from skyproof.results.pairs.outcomes import Outcome, read_outcomes
 from skyproof.results.pairs.tiles import Series, TileCounts
 from skyproof.results.repeats import repeat_of
-from skyproof.results.rows import LENIENT_MATCH, MAIN_MATCH, MEAN, Headline, Row
+from skyproof.results.result import LENIENT_MATCH, MAIN_MATCH, MEAN, Headline, Result
 from skyproof.results.rows_file import flat_row
 from skyproof.results.score_folder import Pair, ScoreFolder
 from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
@@ -71,23 +71,23 @@ class Results:
         scores: its score folders.
         rows: the table of results, renderer by renderer, by every match criterion.
         tiles: the counts that the rows come from.
-        checks: detectors on images without camouflage.
+        baselines: of every detector on every set of images without camouflage.
         config, environment: of the run; empty where missing.
         timings: seconds of the run's stages; empty where missing.
-        detectors: by name, what is recorded of them; empty where missing.
+        cards: of the detectors, by name; empty where missing.
         records: by camouflage folder of the run, what was recorded while it was made.
         practicality: by camouflage without repeat, what it asks of those who would make it.
     """
 
     folder: Path
     scores: Sequence[ScoreFolder]
-    rows: Sequence[Row]
+    rows: Sequence[Result]
     tiles: TileCounts
-    checks: Sequence[Baseline]
+    baselines: Sequence[Baseline]
     config: RunConfig
     environment: Mapping[str, Any]
     timings: Sequence[Timing]
-    detectors: Mapping[str, DetectorFacts]
+    cards: Mapping[str, DetectorFacts]
     records: Mapping[str, AttackRecord]
     practicality: Mapping[CamouflageName, Practicality]
 
@@ -104,7 +104,7 @@ class Results:
         scores = ScoreFolder.all_of(folder)
         tiles, sets = merge_counts([score.path for score in scores])
         config = read_config(layout.config)
-        rows: list[Row] = []
+        rows: list[Result] = []
         for renderer in dict.fromkeys(key.renderer for key in tiles.series):
             # One by one, Holm's correction too: a renderer's numbers stay as they are when another
             # is added.
@@ -119,11 +119,11 @@ class Results:
             scores=scores,
             rows=rows,
             tiles=tiles,
-            checks=_merged_checks(scores),
+            baselines=_merged_baselines(scores),
             config=config,
             environment=read_environment(layout.environment),
             timings=read_timings(layout.timings),
-            detectors=read_detectors(layout.detectors),
+            cards=read_detectors(layout.detectors),
             records=read_records(layout.camouflages),
             practicality=_practicality(scores),
         )
@@ -139,20 +139,20 @@ class Results:
         """
         path = Layout(self.folder).results
         rows = [row.json() for row in self.rows]
-        checks = [flat_row(check) for check in self.checks]
-        write_json(path, {"rows": rows, "checks": checks, "worst_cases": list(worst)})
+        baselines = [flat_row(baseline) for baseline in self.baselines]
+        write_json(path, {"rows": rows, "baselines": baselines, "worst_cases": list(worst)})
         return path
 
     @cached_property
-    def judges(self) -> list[str]:
+    def detectors(self) -> list[str]:
         """The detectors that camouflages were shown to, in the order of the first score.
 
         Where nothing was compared, they are all that were checked.
         """
-        return list(dict.fromkeys(row.detector for row in self._single_rows)) or self.checked
+        return list(dict.fromkeys(row.detector for row in self._single_rows)) or self.all_detectors
 
     @cached_property
-    def checked(self) -> list[str]:
+    def all_detectors(self) -> list[str]:
         """All detectors of the scores, also those that were checked on clean images alone."""
         named = [name for score in self.scores for name in score.record.thresholds]
         return list(dict.fromkeys([*(row.detector for row in self._single_rows), *named]))
@@ -190,9 +190,9 @@ class Results:
         *,
         renderer: str = RENDERER,
         match: str = MAIN_MATCH,
-    ) -> Row | None:
+    ) -> Result | None:
         """Finds a camouflage's row, of the mean over detectors or of one; None if not scored."""
-        wanted = detector or (MEAN if len(self.judges) > 1 else self.judges[0])
+        wanted = detector or (MEAN if len(self.detectors) > 1 else self.detectors[0])
         return self._by_name.get((name, wanted, renderer, match))
 
     def headlines(self) -> list[Headline]:
@@ -316,11 +316,11 @@ class Results:
         return difference_interval([after], [before], self.sample)
 
     @cached_property
-    def _single_rows(self) -> list[Row]:
+    def _single_rows(self) -> list[Result]:
         return [row for row in self.rows if row.detector != MEAN]
 
     @cached_property
-    def _by_name(self) -> dict[tuple[CamouflageName, str, str, str], Row]:
+    def _by_name(self) -> dict[tuple[CamouflageName, str, str, str], Result]:
         return {(row.camouflage, row.detector, row.renderer, row.match): row for row in self.rows}
 
     @cached_property
@@ -354,14 +354,14 @@ class Results:
         return Group(np.stack(before), repeats, of), Group(now, repeats, of)
 
     def _group(self, camouflage: str) -> Group | None:
-        keys = [Series(camouflage, RENDERER, detector, MAIN_MATCH) for detector in self.judges]
+        keys = [Series(camouflage, RENDERER, detector, MAIN_MATCH) for detector in self.detectors]
         known = [self.tiles.series[key][:, 1:] for key in keys if key in self.tiles.series]
         if len(known) < len(keys):
             return None
         return Group(np.stack(known), [[repeat_of(camouflage)]] * len(known))
 
 
-def _merged_checks(scores: Sequence[ScoreFolder]) -> list[Baseline]:
+def _merged_baselines(scores: Sequence[ScoreFolder]) -> list[Baseline]:
     """Gives every check once, rendered images first: each score repeats that on the originals."""
     checks = [check for score in scores for check in score.baselines()]
     first = {(check.detector, check.dataset): check for check in reversed(checks)}

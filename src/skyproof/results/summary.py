@@ -15,7 +15,7 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.results.pairs.outcomes import MATCHES, ORIGINAL
 from skyproof.results.pairs.tiles import Cell, Series, TileCounts
 from skyproof.results.repeats import repeat_of
-from skyproof.results.rows import MEAN, Contrast, Row
+from skyproof.results.result import MEAN, Contrast, Result
 from skyproof.results.score_folder import SetScore
 from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
 from skyproof.results.statistics.hypotheses import control_p, holm, unchanged_p
@@ -29,7 +29,7 @@ from skyproof.results.statistics.sample import Sample
 
 def summarise(
     tiles: TileCounts, sets: Sequence[SetScore], *, generator: np.random.Generator
-) -> list[Row]:
+) -> list[Result]:
     """Makes the rows of `results.json`.
 
     Repeats of one camouflage ("T-U-0", "T-U-1": seeds of an attack, draws of a control) share one
@@ -52,7 +52,7 @@ def summarise(
         generator: of the bootstrap.
     """
     # A table per match criterion and renderer, from the counts and set scores of both.
-    rows: list[Row] = []
+    rows: list[Result] = []
     scores = {Series(s.camouflage, s.renderer, s.detector, s.match): s for s in sets}
     for match in MATCHES:
         for renderer in _unique(key.renderer for key in tiles.series if key.match == match):
@@ -68,7 +68,7 @@ def summarise(
     for index, row in enumerate(rows):
         families[row.match, row.detector].append(index)
     for family in families.values():
-        for field in ("random", "unlearnt", "drawn_shape"):
+        for field in ("random", "strongest", "drawn_shape"):
             found = {index: getattr(rows[index], field) for index in family}
             tested = {index: each for index, each in found.items() if each and each.p is not None}
             corrected = holm([each.p for each in tested.values()])
@@ -114,8 +114,8 @@ class _Table:
         self.sample = Sample.draw(known, generator=generator)
         self._groups: dict[tuple[tuple[str, ...], tuple[str, ...]], Group] = {}
 
-    def rows(self, renderer: str, match: str) -> list[Row]:
-        rows: list[Row] = []
+    def rows(self, renderer: str, match: str) -> list[Result]:
+        rows: list[Result] = []
         for name, members in self.repeats.items():
             present = [
                 d for d in self.detectors if all((member, d) in self.counts for member in members)
@@ -130,7 +130,7 @@ class _Table:
 
     def _row(
         self, name: CamouflageName, label: str, detectors: list[str], renderer: str, match: str
-    ) -> Row:
+    ) -> Result:
         members = self.repeats[name]
         first = (members[0], detectors[0])
 
@@ -151,7 +151,7 @@ class _Table:
         alarms = "false_alarms_per_km2"
         sample = self.sample
         untested = label == MEAN or name.random
-        return Row(
+        return Result(
             camouflage=name,
             renderer=renderer,
             detector=label,
@@ -175,7 +175,7 @@ class _Table:
                 members, detectors, renderer, match, alarms
             ),
             random=None if name.random else beside.contrast(name.control),
-            unlearnt=None if name.random else beside.strongest(name.unlearnt),
+            strongest=None if name.random else beside.strongest(name.unlearnt),
             drawn_shape=None if shape is None else beside.contrast(shape),
             no_camouflage_p=None if untested else unchanged_p(totals),
         )

@@ -91,7 +91,7 @@ def worst_cases(results: Results, renderer: str = RENDERER) -> list[WorstCase]:
     sets = _sets_of_draws([name.control for name in attacks], set(scored))
     return [
         found
-        for detector in results.judges
+        for detector in results.detectors
         if (found := _worst_case(results, lost, detector, renderer, attacks, sets)) is not None
     ]
 

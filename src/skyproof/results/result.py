@@ -39,7 +39,7 @@ class Contrast:
 
 
 @dataclass(frozen=True)
-class Row:
+class Result:
     """One camouflage before one detector, or before the mean of all, by one match criterion.
 
     Rates are fractions, nan where undefined.
@@ -86,7 +86,7 @@ class Row:
     false_alarms_per_km2_original: float
     false_alarms_per_km2_adversarial: float
     random: Contrast | None = None
-    unlearnt: Contrast | None = None
+    strongest: Contrast | None = None
     drawn_shape: Contrast | None = None
     no_camouflage_p: float | None = None
     no_camouflage_p_holm: float | None = None
@@ -104,7 +104,7 @@ class Row:
         """
         errors = self.easr.errors
         random = self.random or _NOTHING
-        unlearnt = self.unlearnt or _NOTHING
+        strongest = self.strongest or _NOTHING
         drawn_shape = self.drawn_shape or _NOTHING
         values = {
             "camouflage": str(self.camouflage),
@@ -140,11 +140,11 @@ class Row:
             "random_draw_se": random.net.errors.get("draws"),
             "control_p": random.p,
             "control_p_holm": random.p_holm,
-            "unlearnt_control": str(unlearnt.control) if self.unlearnt else None,
-            "unlearnt_easr": unlearnt.easr,
-            **_net("net_unlearnt_easr", unlearnt.net),
-            "unlearnt_p": unlearnt.p,
-            "unlearnt_p_holm": unlearnt.p_holm,
+            "strongest_control": str(strongest.control) if self.strongest else None,
+            "strongest_control_easr": strongest.easr,
+            **_net("net_strongest_control_easr", strongest.net),
+            "strongest_control_p": strongest.p,
+            "strongest_control_p_holm": strongest.p_holm,
             "drawn_shape_easr": drawn_shape.easr,
             **_net("net_drawn_shape_easr", drawn_shape.net),
             "drawn_shape_p": drawn_shape.p,
@@ -170,10 +170,10 @@ class Headline:
 
     camouflage: CamouflageName
     renderer: str
-    row: Row
-    by_detector: Sequence[Row]
-    control: Mapping[str, Row]
-    lenient: Row | None = None
+    row: Result
+    by_detector: Sequence[Result]
+    control: Mapping[str, Result]
+    lenient: Result | None = None
 
     @property
     def detectors(self) -> list[str]:
