@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from skyproof.errors import ImageryError
-from skyproof.ground.ground import draw_ground_and_sun
+from skyproof.ground.procedural import draw_ground
 from skyproof.imagery.exposure import ground_pixels, measure_exposure
 
 NOBODY = torch.zeros(0, 2)
@@ -18,7 +18,7 @@ def exposure(*images, vehicles_px=NOBODY):
 @pytest.fixture(scope="module")
 def grounds():
     generator = torch.Generator().manual_seed(11)
-    return [draw_ground_and_sun(300, 0.125, generator=generator) for _ in range(24)]
+    return [draw_ground(300, 0.125, generator=generator) for _ in range(24)]
 
 
 def test_white_is_measured_on_drawn_ground(grounds):

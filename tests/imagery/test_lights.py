@@ -10,7 +10,7 @@ from rasterio.crs import CRS
 from rasterio.transform import Affine
 
 from skyproof.errors import ConfigurationError, ImageryError
-from skyproof.ground.ground import draw_ground
+from skyproof.ground.procedural import draw_ground
 from skyproof.imagery.settings import SourceSettings
 from skyproof.imagery.tiles.grid import Cell
 from skyproof.imagery.tiles.lights import sun_over
@@ -94,7 +94,7 @@ def test_a_time_that_cannot_be_is_refused_before_anything_is_cut(tmp_path, crs, 
 def test_each_source_keeps_its_exposure(tmp_path):
     """One picture at half the other's exposure: its white is half as bright."""
 
-    drawn = draw_ground(300, 0.125, generator=torch.Generator().manual_seed(4)).numpy()
+    drawn = draw_ground(300, 0.125, generator=torch.Generator().manual_seed(4)).image.numpy()
     linear = (drawn / 255.0) ** 2.2
     for number, exposure in enumerate((1.0, 0.5)):
         shown = ((exposure * linear) ** (1 / 2.2) * 255).astype(np.uint8)
@@ -108,7 +108,7 @@ def test_each_source_keeps_its_exposure(tmp_path):
 def test_only_what_was_measured_is_noted(tmp_path):
     """The white of a plain source is nobody's measurement: of a dark one it would be the larger."""
     corners = [Affine(0.125, 0, place, 0, -0.125, 5_330_000) for place in (500_000, 500_100)]
-    drawn = draw_ground(300, 0.125, generator=torch.Generator().manual_seed(4)).numpy()
+    drawn = draw_ground(300, 0.125, generator=torch.Generator().manual_seed(4)).image.numpy()
     dark = (drawn * 0.6).astype(np.uint8)
     plain = np.full((3, 300, 300), 120, np.uint8)
     write_image(tmp_path / "dark.tif", dark, crs="EPSG:32632", transform=corners[0])

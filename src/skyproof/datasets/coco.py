@@ -62,12 +62,7 @@ class CocoWriter:
         self, folder: Path, *, gsd_m: float, source: Mapping[str, Any] | None = None
     ) -> None:
         self.folder = Path(folder)
-        self._info = {
-            "description": DESCRIPTION,
-            "version": "1",
-            "gsd_m": gsd_m,
-            **(source or {}),
-        }
+        self._info = {"description": DESCRIPTION, "version": "1", "gsd_m": gsd_m, **(source or {})}
         self._images: list[dict[str, Any]] = []
         self._annotations: list[dict[str, Any]] = []
 

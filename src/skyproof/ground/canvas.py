@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,20 +14,26 @@ from scipy import ndimage
 from skyproof.scenes.directions import direction_values, with_room
 
 Array = NDArray[np.floating[Any]]
-Colour = tuple[int, int, int]
+Colour = tuple[int, ...]
 Place = tuple[float, float]
+Option = TypeVar("Option")
 
 MARGIN_M = 6.0
-"""Drawn beyond the picture on every side, so that things outside cast their shadows into it."""
+"""Width of the band drawn around the picture, so that things outside cast shadows into it."""
 IN_THE_WAY_M = 0.3
-"""What stands higher than this, no vehicle stands on."""
+"""No vehicle stands on anything higher than this."""
 HIDES_FROM_M = 2.0
-"""What reaches higher than this hides a vehicle that stands beneath it: crowns, roofs, sheds."""
+"""Crowns, roofs and sheds higher than this hide a vehicle beneath them."""
 
 
 def reflectance(colour: Colour) -> Array:
-    """Linear reflectance of an sRGB colour given in bytes, by the usual power of 2.2."""
+    """Returns the linear reflectance of an sRGB colour of bytes, by the usual power of 2.2."""
     return ((np.asarray(colour, np.float32) / 255.0) ** 2.2).astype(np.float32)
+
+
+def palette(colours: str) -> tuple[Colour, ...]:
+    """Returns sRGB colours that are written as "rrggbb rrggbb ..."."""
+    return tuple(tuple(bytes.fromhex(colour)) for colour in colours.split())
 
 
 @dataclass(frozen=True)
@@ -37,7 +44,7 @@ class Patch:
         rows, columns: slices into the canvas.
         u, v: metres along and across the shape, from its centre, `[h, w]`.
         inside: metres inside the outline, negative outside, `[h, w]`.
-        coverage: part of each pixel covered, 0 to 1, `[h, w]`.
+        coverage: covered share of each pixel, 0 to 1, `[h, w]`.
     """
 
     rows: slice
@@ -57,7 +64,6 @@ class Canvas:
     """Reflectance `[n, n, 3]` and height `[n, n]` m over a square, with axes for straight streets.
 
     Places are metres along these axes: origin at the centre, u along the street, v to its left.
-    One sun lights all.
     """
 
     def __init__(
@@ -68,21 +74,21 @@ class Canvas:
         self.size_px = size_px
         self.margin_px = math.ceil(MARGIN_M / gsd_m)
         self.pixels = size_px + 2 * self.margin_px
+        self.picture = np.s_[self.margin_px : -self.margin_px, self.margin_px : -self.margin_px]
         self.reach_m = self.pixels * gsd_m * 0.7072
         self.axes_rad = axes_rad
         self.reflectance = np.zeros((self.pixels, self.pixels, 3), np.float32)
         self.height = np.zeros((self.pixels, self.pixels), np.float32)
         self.directions = np.zeros((self.pixels, self.pixels), np.uint8)
-        self.sun_azimuth_rad = float(rng.uniform(0, 2 * math.pi))
-        self.sun_elevation_rad = float(rng.uniform(math.radians(28), math.radians(62)))
+        self.sun_azimuth_rad = rng.uniform(0, 2 * math.pi)
+        self.sun_elevation_rad = rng.uniform(math.radians(28), math.radians(62))
         self._fields = self._draw_fields()
 
     def _draw_fields(self) -> dict[str, Array]:
         """Periodic noise of unit variance, by feature size; one transform, filtered three ways."""
         n = self.pixels
-        frequency = (
-            np.hypot(np.fft.fftfreq(n)[:, None], np.fft.rfftfreq(n)[None]) / self.gsd_m
-        )  # cycles per metre
+        # In cycles per metre.
+        frequency = np.hypot(np.fft.fftfreq(n)[:, None], np.fft.rfftfreq(n)[None]) / self.gsd_m
         spectrum = np.fft.rfft2(self.rng.standard_normal((n, n)))
         filters = {
             "grain": 1 / (1 + (frequency / 3.0) ** 2),
@@ -98,14 +104,11 @@ class Canvas:
         return fields
 
     def noise(self, name: str, patch: Patch | None = None) -> Array:
-        """Returns unit noise under `patch`, or everywhere.
-
-        It is the stored field at a random shift, so that repeats do not line up.
-        """
+        """Returns unit noise under `patch`, or everywhere, at a random shift of its field."""
         shift = self.rng.integers(0, self.pixels, 2)
         field = self._fields[name]
         if patch is None:
-            return np.roll(field, tuple(int(s) for s in shift), (0, 1))
+            return np.roll(field, shift, (0, 1))
         rows = (np.arange(patch.rows.start, patch.rows.stop) + shift[0]) % self.pixels
         columns = (np.arange(patch.columns.start, patch.columns.stop) + shift[1]) % self.pixels
         return field[rows[:, None], columns[None]]
@@ -118,25 +121,20 @@ class Canvas:
         return self.pixels / 2 + x / self.gsd_m, self.pixels / 2 - y / self.gsd_m
 
     def _local(
-        self, u_m: float, v_m: float, angle_rad: float, radius_m: float
+        self, place: Place, angle_rad: float, radius_m: float
     ) -> tuple[slice, slice, Array, Array]:
-        column, row = self.to_pixels(u_m, v_m)
+        column, row = self.to_pixels(*place)
         reach = radius_m / self.gsd_m + 2
-        rows = slice(
-            *(int(np.clip(edge, 0, self.pixels)) for edge in (row - reach, row + reach + 1))
+        rows, columns = (
+            slice(*np.clip([at - reach, at + reach + 1], 0, self.pixels).astype(int).tolist())
+            for at in (row, column)
         )
-        columns = slice(
-            *(int(np.clip(edge, 0, self.pixels)) for edge in (column - reach, column + reach + 1))
-        )
-        x = ((np.arange(columns.start, columns.stop) + 0.5 - column) * self.gsd_m).astype(
-            np.float32
-        )[None]
-        y = (-(np.arange(rows.start, rows.stop) + 0.5 - row) * self.gsd_m).astype(np.float32)[
-            :, None
-        ]
-        turn = self.axes_rad + angle_rad
-        cosine = math.cos(turn)
-        sine = math.sin(turn)
+        right_m = (np.arange(columns.start, columns.stop) + 0.5 - column) * self.gsd_m
+        up_m = -(np.arange(rows.start, rows.stop) + 0.5 - row) * self.gsd_m
+        x, y = right_m.astype(np.float32)[None], up_m.astype(np.float32)[:, None]
+        turn_rad = self.axes_rad + angle_rad
+        cosine = math.cos(turn_rad)
+        sine = math.sin(turn_rad)
         return rows, columns, cosine * x + sine * y, -sine * x + cosine * y
 
     def _patch(self, rows: slice, columns: slice, u: Array, v: Array, inside: Array) -> Patch:
@@ -144,19 +142,15 @@ class Canvas:
         return Patch(rows, columns, u, v, inside.astype(np.float32), coverage)
 
     def rectangle(
-        self,
-        place: tuple[float, float],
-        size_m: tuple[float, float],
-        angle_rad: float = 0.0,
-        corner_m: float = 0.0,
+        self, place: Place, size_m: Place, angle_rad: float = 0.0, corner_m: float = 0.0
     ) -> Patch:
-        """Returns a rectangle about a place, its corners rounded by `corner_m`.
+        """Returns a rectangle of length and width about a place, with rounded corners.
 
         Its length is along u, its width along v.
         """
         half_u, half_v = size_m[0] / 2 - corner_m, size_m[1] / 2 - corner_m
         radius_m = min(math.hypot(*size_m) / 2, 2 * self.reach_m + math.hypot(*place))
-        rows, columns, u, v = self._local(*place, angle_rad, radius_m)
+        rows, columns, u, v = self._local(place, angle_rad, radius_m)
         du = np.abs(u) - half_u
         dv = np.abs(v) - half_v
         if corner_m == 0:
@@ -165,17 +159,12 @@ class Canvas:
         return self._patch(rows, columns, u, v, corner_m - outside)
 
     def disc(
-        self,
-        place: tuple[float, float],
-        radius_m: float,
-        raggedness: float = 0.0,
-        stretch: float = 1.0,
+        self, place: Place, radius_m: float, raggedness: float = 0.0, stretch: float = 1.0
     ) -> Patch:
-        """Returns a disc whose outline wanders by a part `raggedness` of its radius."""
-        angle = float(self.rng.uniform(0, math.pi))
-        rows, columns, u, v = self._local(
-            *place, angle, radius_m * (1 + 2 * raggedness) * max(1.0, stretch)
-        )
+        """Returns a disc whose outline wanders by a share `raggedness` of its radius."""
+        angle_rad = self.rng.uniform(0, math.pi)
+        reach_m = radius_m * (1 + 2 * raggedness) * max(1.0, stretch)
+        rows, columns, u, v = self._local(place, angle_rad, reach_m)
         inside = radius_m - np.hypot(u / stretch, v)
         patch = self._patch(rows, columns, u, v, inside)
         if raggedness and not patch.empty:
@@ -186,12 +175,11 @@ class Canvas:
 
     def everywhere(self, angle_rad: float = 0.0, wander_m: float = 0.0) -> Patch:
         """Returns the whole canvas along its axes; with `wander_m` v meanders, as a track does."""
-        rows, columns, u, v = self._local(0.0, 0.0, angle_rad, 3 * self.reach_m)
+        rows, columns, u, v = self._local((0.0, 0.0), angle_rad, 3 * self.reach_m)
         if wander_m:
-            period = float(self.rng.uniform(40, 90))
-            v = v + np.float32(wander_m) * np.sin(
-                2 * math.pi * u / period + self.rng.uniform(0, 6)
-            ).astype(np.float32)
+            period_m = self.rng.uniform(40, 90)
+            wave = np.sin(2 * math.pi * u / period_m + self.rng.uniform(0, 6))
+            v = v + np.float32(wander_m) * wave.astype(np.float32)
         return Patch(rows, columns, u, v, np.full_like(u, 1e3), np.ones_like(u))
 
     def band(
@@ -203,19 +191,45 @@ class Canvas:
             inside = inside + roughness_m * self.noise("mottle", base)
         return self._patch(base.rows, base.columns, base.u, base.v - centre_v_m, inside)
 
+    def varied(
+        self, patch: Patch, colour: Array, low: float = 0.2, high: float = 2.5, /, **weights: float
+    ) -> Array:
+        """Varies a colour by noise of the named kinds, by a factor from `low` to `high`."""
+        factor: float | Array = 1
+        for name, weight in weights.items():
+            factor = factor + weight * self.noise(name, patch)
+        return np.clip(factor, low, high)[..., None] * colour
+
+    def either(self, *options: Option) -> Option:
+        """Draws one of the options."""
+        return options[self.rng.choice(len(options))]
+
+    def pick(self, colours: Sequence[Colour], spread: float = 0.12) -> Array:
+        """Draws one of the colours as reflectance, a little off: no two roofs are alike."""
+        colour = reflectance(self.either(*colours))
+        change = self.rng.normal(0, spread) + self.rng.normal(0, spread / 3, 3)
+        return (colour * np.exp(change)).astype(np.float32)
+
     def paint(self, patch: Patch, colour: Array, strength: float | Array = 1.0) -> None:
         """Lays reflectance (`[3]` or `[h, w, 3]`) over the patch."""
-        if patch.empty:
-            return
-        weight = (patch.coverage * strength)[..., None]
         region = self.reflectance[patch.rows, patch.columns]
-        region += weight * (colour - region)
+        region += (patch.coverage * strength)[..., None] * (colour - region)
+
+    def paint_rectangle(
+        self,
+        place: Place,
+        size_m: Place,
+        angle_rad: float,
+        colour: Array,
+        strength: float | Array = 1.0,
+    ) -> None:
+        """Lays reflectance over a rectangle about a place."""
+        self.paint(self.rectangle(place, size_m, angle_rad), colour, strength)
 
     def shade(self, patch: Patch, factor: float | Array) -> None:
         """Multiplies the reflectance under the patch (stains, wear, wet)."""
-        if not patch.empty:
-            region = self.reflectance[patch.rows, patch.columns]
-            region *= (1 + patch.coverage * (np.asarray(factor, np.float32) - 1))[..., None]
+        region = self.reflectance[patch.rows, patch.columns]
+        region *= (1 + patch.coverage * (np.asarray(factor, np.float32) - 1))[..., None]
 
     def mute(self, kept: float) -> None:
         """Draws all reflectance towards grey, keeping a part of its chroma: dust, drought, soot."""
@@ -224,18 +238,16 @@ class Canvas:
 
     def raise_to(self, patch: Patch, height_m: float | Array) -> None:
         """Raises the height to `height_m` above the ground, where what stands there is lower."""
-        if not patch.empty:
-            region = self.height[patch.rows, patch.columns]
-            np.maximum(
-                region, np.where(patch.coverage > 0.5, height_m, 0), out=region, casting="same_kind"
-            )
+        region = self.height[patch.rows, patch.columns]
+        height_m = np.where(patch.coverage > 0.5, height_m, 0)
+        np.maximum(region, height_m, out=region, casting="same_kind")
 
     def allow(
         self, patch: Patch, where: NDArray[np.bool_] | bool = True, turn_rad: float = 0.0
     ) -> None:
-        """Says where the middle of a vehicle may be, under the patch.
+        """Allows the middle of a vehicle under the patch.
 
-        It heads along the patch's u, which may bend, turned by `turn_rad` to the left.
+        The vehicle heads along the patch's u, which may bend, turned by `turn_rad` to the left.
         """
         if min(patch.v.shape) < 2:
             return
@@ -246,47 +258,31 @@ class Canvas:
         region[allowed] = direction_values(heading_rad)[allowed]
 
     def forbid(self, patch: Patch) -> None:
-        """Says that no vehicle stands under the patch."""
-        if not patch.empty:
-            self.directions[patch.rows, patch.columns][patch.coverage > 0] = 0
+        """Forbids vehicles under the patch."""
+        self.directions[patch.rows, patch.columns][patch.coverage > 0] = 0
 
     def drivable(self) -> NDArray[np.uint8]:
-        """Gives the picture's map of drivable ground, `[size, size]`: what is allowed and free."""
-        cut = slice(self.margin_px, self.margin_px + self.size_px)
+        """Returns the picture's map of drivable ground, `[size, size]`: allowed and free."""
         shown = np.zeros_like(self.directions)
-        shown[cut, cut] = self.directions[cut, cut]
+        shown[self.picture] = self.directions[self.picture]
         free = self.height < IN_THE_WAY_M
-        return np.ascontiguousarray(with_room(shown, free, self.gsd_m)[cut, cut])
+        return np.ascontiguousarray(with_room(shown, free, self.gsd_m)[self.picture])
 
     def cover(self, blur_px: float) -> NDArray[np.uint8]:
-        """Gives the picture's map of what hides the ground, `[size, size]`, as blurred as it is."""
-        cut = slice(self.margin_px, self.margin_px + self.size_px)
+        """Returns the picture's map of crowns and roofs, `[size, size]`, blurred as it is."""
         high = (self.height >= HIDES_FROM_M).astype(np.float32)
-        blurred = ndimage.gaussian_filter(high, blur_px)[cut, cut]
+        blurred = ndimage.gaussian_filter(high, blur_px)[self.picture]
         return np.ascontiguousarray(np.round(255 * blurred).astype(np.uint8))
 
-    def base_height(self, place: tuple[float, float]) -> float:
-        """Height of whatever stands at a place, for things put on roofs."""
+    def base_height(self, place: Place) -> float:
+        """Returns the height of the canvas at a place, for things put on roofs."""
         column, row = self.to_pixels(*place)
         limit = self.pixels - 1
         return float(self.height[int(np.clip(row, 0, limit)), int(np.clip(column, 0, limit))])
 
 
-def pick(canvas: Canvas, colours: tuple[Colour, ...], spread: float = 0.12) -> Array:
-    """One of the colours as reflectance, a little off, because no two roofs are alike."""
-    colour = reflectance(colours[int(canvas.rng.integers(len(colours)))])
-    return (
-        colour * np.exp(canvas.rng.normal(0, spread) + canvas.rng.normal(0, spread / 3, 3))
-    ).astype(np.float32)
-
-
-def textured(canvas: Canvas, patch: Patch, colour: Array, grain: float, mottle: float) -> Array:
-    """A colour varied by fine grain and by stains of about a metre, `[h, w, 3]`."""
-    factor = 1 + grain * canvas.noise("grain", patch) + mottle * canvas.noise("mottle", patch)
-    return np.clip(factor, 0.2, 2.5)[..., None] * colour
-
-
 def beside(place: Place, angle_rad: float, u_m: float, v_m: float) -> Place:
+    """Returns the place u_m along and v_m across from another, in axes turned by an angle."""
     cosine = math.cos(angle_rad)
     sine = math.sin(angle_rad)
     return place[0] + cosine * u_m - sine * v_m, place[1] + sine * u_m + cosine * v_m

@@ -23,9 +23,9 @@ _SHOULDER = 0.6
 class GroundSensor:
     """How the lit ground becomes a picture.
 
-    It is drawn anew for every tile, so that a detector cannot lean on one look. Ranges are such
-    that orthophotos from a haze over a German town to the red soil of Uganda lie within: mean
-    lightness of a tile from 35 to 70 (CIELAB), chroma from 2 to 20.
+    Every tile draws its own sensor, so that a detector cannot rely on one look. The ranges include
+    orthophotos from a hazy German town to the red soil of Uganda: tiles have a mean lightness from
+    35 to 70 (CIELAB) and a chroma from 2 to 20.
     """
 
     exposure: float
@@ -37,16 +37,17 @@ class GroundSensor:
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> GroundSensor:
-        # White balances differ from yellow to blue above all.
-        warmth = float(rng.normal(0.0, 0.05))
-        tint = rng.normal(1.0, 0.02, 3) * (1 + warmth, 1.0, 1 - warmth)
+        """Draws a sensor."""
+        # White balances differ mostly from yellow to blue.
+        warmth = rng.normal(0.0, 0.05)
+        red, green, blue = (rng.normal(1.0, 0.02, 3) * (1 + warmth, 1.0, 1 - warmth)).tolist()
         return cls(
             exposure=math.exp(rng.uniform(math.log(0.7), math.log(1.9))),
-            haze=0.002 + 0.03 * float(rng.uniform()) ** 2,
-            tint=(float(tint[0]), float(tint[1]), float(tint[2])),
-            saturation=float(rng.uniform(0.8, 1.1)),
-            blur_px=float(rng.uniform(0.5, 0.85)),
-            noise=float(rng.uniform(0.004, 0.012)),
+            haze=0.002 + 0.03 * rng.uniform() ** 2,
+            tint=(red, green, blue),
+            saturation=rng.uniform(0.8, 1.1),
+            blur_px=rng.uniform(0.5, 0.85),
+            noise=rng.uniform(0.004, 0.012),
         )
 
 
@@ -68,48 +69,42 @@ class Photograph:
 def photograph(canvas: Canvas, sensor: GroundSensor) -> Photograph:
     """Lights the canvas and takes its picture.
 
-    It also says which light that is, so that vehicles can be put into it.
+    The picture's light is known, so that vehicles can be put into it.
     """
     rng = canvas.rng
     overcast = float(rng.choice([rng.uniform(0.0, 0.15), rng.uniform(0.3, 0.7)], p=[0.75, 0.25]))
     sun = np.float32(1.15 * (1 - overcast))
-    sky_strength = float(rng.uniform(0.12, 0.25)) + 0.75 * overcast
-    sky = (
-        np.asarray([0.88, 1.0, 1.22], np.float32) * sky_strength
-        if overcast < 0.2
-        else np.float32(sky_strength)
-    )
+    sky_strength = rng.uniform(0.12, 0.25) + 0.75 * overcast
+    sky = np.full(3, sky_strength, np.float32)
+    if overcast < 0.2:
+        sky = np.asarray([0.88, 1.0, 1.22], np.float32) * np.float32(sky_strength)
     around = ndimage.uniform_filter(canvas.height, max(3, round(3.0 / canvas.gsd_m)))
     openness = 1 - 0.45 * np.clip((around - canvas.height) / 3.0, 0, 1)
     direct, lit = sunlight(canvas)
     light = sun * direct[..., None] * _SUN_COLOUR + sky * openness[..., None]
-    cut = slice(canvas.margin_px, canvas.margin_px + canvas.size_px)
     # Blur and saturation come before the cut and the tone curve: optics act on light, and
     # there is no border to pad.
     picture = np.clip(canvas.reflectance, 0.004, 0.95) * light * np.float32(sensor.exposure)
     for channel in range(3):
         ndimage.gaussian_filter(picture[..., channel], sensor.blur_px, output=picture[..., channel])
-    picture = picture[cut, cut]
+    picture = picture[canvas.picture]
     grey = picture.mean(2, keepdims=True)
-    picture = (grey + sensor.saturation * (picture - grey)) * np.asarray(
-        sensor.tint, np.float32
-    ) + sensor.haze
+    picture = grey + sensor.saturation * (picture - grey)
+    picture = picture * np.asarray(sensor.tint, np.float32) + sensor.haze
     # A soft shoulder instead of hard clipping, as camera tone curves have.
     picture = np.clip(picture, 0, None)
     bent = _SHOULDER + (1 - _SHOULDER) * np.tanh((picture - _SHOULDER) / (1 - _SHOULDER))
-    picture = np.where(picture < _SHOULDER, picture, bent)
-    encoded = picture ** np.float32(1 / 2.2)
+    encoded = np.where(picture < _SHOULDER, picture, bent) ** np.float32(1 / 2.2)
     encoded += np.float32(sensor.noise) * rng.standard_normal(encoded.shape, np.float32)
-    image = np.ascontiguousarray(
-        (np.clip(encoded, 0, 1) * 255 + 0.5).astype(np.uint8).transpose(2, 0, 1)
-    )
+    image = (np.clip(encoded, 0, 1) * 255 + 0.5).astype(np.uint8)
+    shade = np.round((1 - lit[canvas.picture]) * 255).astype(np.uint8)
     level = sun * math.sin(canvas.sun_elevation_rad) * _SUN_COLOUR
-    shade = np.round((1 - lit[cut, cut]) * 255).astype(np.uint8)
-    return Photograph(image, _light(canvas, level, np.broadcast_to(sky, 3), sensor), shade)
+    image = np.ascontiguousarray(image.transpose(2, 0, 1))
+    return Photograph(image, _light(canvas, level, sky, sensor), shade)
 
 
 def sunlight(canvas: Canvas) -> tuple[Array, Array]:
-    """Returns the part of the direct sun that each pixel gets, and the part that shadows leave."""
+    """Returns the share of the direct sun on each pixel, and the share that shadows leave."""
     # Shadows, by walking towards the sun: the height a ray to the sun has to pass.
     tangent = math.tan(canvas.sun_elevation_rad)
     step_x = math.cos(canvas.sun_azimuth_rad)
@@ -129,27 +124,19 @@ def sunlight(canvas: Canvas) -> tuple[Array, Array]:
     lit = np.clip(1.0 - (horizon - height) / 0.25, 0, 1)
     lit = ndimage.gaussian_filter(lit.astype(np.float32), 0.7)
 
-    # Slopes: what faces the sun is brighter.
+    # Slopes that face the sun are brighter.
     gradient_y, gradient_x = np.gradient(ndimage.gaussian_filter(height, 0.6), canvas.gsd_m)
     # A wall is no slope: beyond 60 degrees the roof above and the ground below are level.
     level = np.hypot(gradient_x, gradient_y) > 1.8
     gradient_x[level], gradient_y[level] = 0, 0
     towards_sun = gradient_x * step_x + gradient_y * step_y
-    cosine = (
-        math.sin(canvas.sun_elevation_rad) - math.cos(canvas.sun_elevation_rad) * towards_sun
-    ) / np.sqrt(1 + gradient_x**2 + gradient_y**2)
+    cosine = math.sin(canvas.sun_elevation_rad) - math.cos(canvas.sun_elevation_rad) * towards_sun
+    cosine = cosine / np.sqrt(1 + gradient_x**2 + gradient_y**2)
     return (lit * np.clip(cosine, 0, None)).astype(np.float32), lit
 
 
 def _light(canvas: Canvas, sun: Array, sky: Array, sensor: GroundSensor) -> Light:
-    """Returns the light as vehicles need it.
-
-    Args:
-        canvas: knows where the sun is.
-        sun: what the direct sun sends to level ground, red, green, blue.
-        sky: what the open sky sends there.
-        sensor: which shows them.
-    """
+    """Returns the light for vehicles; `sun` and `sky` are those on level, open ground."""
     shown = (sun + sky) * sensor.exposure * np.asarray(sensor.tint)
     return Light(
         white=rounded_levels(shown + sensor.haze),

@@ -18,11 +18,7 @@ from torch import Tensor
 from skyproof.errors import ConfigurationError, ImageryError
 from skyproof.files import write_json
 from skyproof.imagery.clearing.exemplar import fill_ground
-from skyproof.imagery.clearing.labelled import (
-    TileLabels,
-    read_labels_of_tiles,
-    removed_vehicles,
-)
+from skyproof.imagery.clearing.labelled import TileLabels, read_labels_of_tiles, removed_vehicles
 from skyproof.imagery.clearing.shaded import lights_record, shaded_tiles
 from skyproof.imagery.clearing.sheet import ContactSheet, SheetRow
 from skyproof.imagery.clearing.sunlight import measured_lights, picture_of

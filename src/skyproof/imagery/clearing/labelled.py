@@ -102,10 +102,7 @@ def read_labels_of_tiles(folder: Path) -> dict[str, TileLabels] | None:
 
 
 def removed_vehicles(
-    image: UInt8[Tensor, "3 H W"],
-    labels: TileLabels,
-    detected: Float[Tensor, "n 4"],
-    gsd_m: float,
+    image: UInt8[Tensor, "3 H W"], labels: TileLabels, detected: Float[Tensor, "n 4"], gsd_m: float
 ) -> tuple[RemovedVehicle, ...]:
     """Says where and how the vehicles of a tile stand, before they are removed.
 

@@ -28,12 +28,7 @@ from skyproof.imagery.labels.label import (
     sort_labels,
 )
 from skyproof.imagery.settings import LabelSettings
-from skyproof.imagery.tiles.georeference import (
-    Point,
-    image_name,
-    system_of,
-    to_reference_system,
-)
+from skyproof.imagery.tiles.georeference import Point, image_name, system_of, to_reference_system
 from skyproof.imagery.tiles.grid import Cell, Extent, extent_of, plane_of
 from skyproof.imagery.tiles.sources import Source
 
