@@ -1,39 +1,24 @@
-"""Evaluates a black-box detector, from any library or over HTTP.
+"""Measures a detector from any library or service, and writes a report.
 
-Freezes its threshold, measures its success rates and writes a report.
+Labelled images freeze its threshold.
 """
-
-import torch
 
 import skyproof as sp
 
-network = sp.load_detector("runs/demo/detectors/retinanet").detector
-
-
-def ask(picture):  # [H, W, 3] bytes, replace by a call of your library or server
-    found = network.detect(torch.from_numpy(picture).permute(2, 0, 1)[None] / 255)[0]
-    return torch.cat([found.boxes, found.scores[:, None]], dim=1).tolist()
-
-
-class BlackBox:
-    name = "black_box"
-
-    def detect(self, images):
-        pictures = (images * 255).round().byte().permute(0, 2, 3, 1).cpu().numpy()
-        rows = [torch.tensor(ask(picture)).reshape(-1, 5) for picture in pictures]
-        rows = [row[row[:, 4].argsort(descending=True)] for row in rows]
-        return [sp.Detections(boxes=row[:, :4], scores=row[:, 4]) for row in rows]
-
-
 demo = "runs/demo"
-validation = sp.Dataset.open("runs/images/validation")  # any folder with annotations.json
-threshold = sp.validate(BlackBox(), validation)["threshold"]
-card = sp.DetectorCard("black_box", threshold=threshold, gsd_m=validation.gsd_m)
+network: sp.Detector = sp.load_detector(f"{demo}/detectors/retinanet").detector
+
+
+def black_box(images):  # [B, 3, H, W] in [0, 1]; replace by a call of your library or service
+    return [(found.boxes, found.scores) for found in network.detect(images)]
+
+
+detector = sp.load_detector(black_box, sp.Dataset.open("runs/images/validation"))
 camouflages = {
     name: sp.load_camouflage(f"{demo}/camouflages/{name}") for name in ("T-U", "R-U-0", "R-U-1")
 }
 sp.measure(
-    [sp.LoadedDetector(BlackBox(), card)],
+    [detector],
     sp.Dataset.open(f"{demo}/datasets/test").scenes,
     camouflages,
     fleet=sp.Fleet.load(f"{demo}/fleets/test"),

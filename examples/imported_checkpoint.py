@@ -9,6 +9,7 @@ import torch
 from torchvision.models.detection import fasterrcnn_mobilenet_v3_large_fpn
 
 import skyproof as sp
+from skyproof.detectors.import_checkpoint import Checkpoint
 
 data, steps = sp.Dataset.open("runs/images/train"), 200
 side = data.image(0).shape[-1]  # torchvision would enlarge the images to 800 px
@@ -25,7 +26,7 @@ for step in range(steps):
 Path("runs/mine").mkdir(parents=True, exist_ok=True)
 torch.save({"model": model.state_dict()}, "runs/mine/vehicles.pth")
 
-checkpoint = sp.Checkpoint(
+checkpoint = Checkpoint(
     Path("runs/mine/vehicles.pth"), "torchvision", ["1"], "fasterrcnn_mobilenet_v3_large_fpn"
 )
 validation = sp.Dataset.open("runs/images/validation")

@@ -38,6 +38,8 @@ LONGEST = 100
 # The most words of a page, or of all Markdown below a folder, tables and code included.
 BUDGETS = {"README.md": 700, "CHANGELOG.md": 1_000, "docs": 35_000, "docs/results": 8_000}
 
+MOST_NAMES = 24
+
 # Commands whose option texts are still to be rewritten in plain English.
 NOT_YET_COMMANDS = {
     "reproduce", "report", "ground", "vehicles", "learn-vehicles",
@@ -122,6 +124,20 @@ def missing_names(text):
     return missing
 
 
+def public_names():
+    """The names of `import skyproof as sp`."""
+    stub = (SOURCE / "__init__.pyi").read_text(encoding="utf-8")
+    return re.findall(r" as (\w+)$", stub, flags=re.MULTILINE)
+
+
+def used_names():
+    """The public names that the Python of the pages and of the examples uses."""
+    code = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "examples").glob("*.py"))
+    for text in pages().values():
+        code += "".join(re.findall(r"^```python\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL))
+    return {*re.findall(r"\bsp\.(\w+)", code)}
+
+
 def plain_commands():
     """The commands whose option texts are in plain English."""
     return sorted({name for group in COMMANDS.values() for name in group} - NOT_YET_COMMANDS)
@@ -149,6 +165,11 @@ def all_words(place):
 def test_python_in_the_docs_names_what_exists():
     missing = {path.name: {*missing_names(text)} - COMING for path, text in pages().items()}
     assert {name: names for name, names in missing.items() if names} == {}
+
+
+def test_public_names_are_few_and_used():
+    assert len(public_names()) <= MOST_NAMES
+    assert {*public_names()} - used_names() == set()
 
 
 def test_docs_keep_to_their_budgets():
@@ -182,8 +203,7 @@ def test_options_are_told_in_plain_english(command):
 
 
 def test_public_names_commands_and_options_keep_to_the_glossary():
-    stub = (SOURCE / "__init__.pyi").read_text(encoding="utf-8")
-    names = re.findall(r" as (\w+)$", stub, flags=re.MULTILINE)
+    names = public_names()
     for command in plain_commands():
         kinds = option_classes(command)
         names += [command, *(field.name for kind in kinds for field in fields(kind))]

@@ -159,7 +159,7 @@ def test_options_that_cannot_be_are_one_sentence(
 
 
 @pytest.mark.parametrize("name", [None, "", "../out", 7])
-def test_an_object_needs_a_plain_name(tmp_path: Path, name: object) -> None:
+def test_a_detector_needs_a_plain_name(tmp_path: Path, name: object) -> None:
     class Nameless:
         def detect(self, images: object) -> list[object]:
             return []
@@ -167,5 +167,5 @@ def test_an_object_needs_a_plain_name(tmp_path: Path, name: object) -> None:
     box = Nameless()
     if name is not None:
         box.name = name  # type: ignore[attr-defined]
-    with pytest.raises(ConfigurationError, match="an object with detect and a plain name"):
+    with pytest.raises(ConfigurationError, match="a callable with a plain name"):
         sp.assess(box, tmp_path / "run")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from types import SimpleNamespace
 
 import pytest
@@ -12,6 +13,7 @@ from skyproof.detectors.answers import CheckedAnswers
 from skyproof.detectors.card import DetectorCard
 from skyproof.detectors.detector import Detections
 from skyproof.detectors.inference import detect_all
+from skyproof.detectors.loaded import load_detector
 from skyproof.detectors.training import validate
 from skyproof.errors import ConfigurationError, DetectorAnswerError
 
@@ -43,6 +45,45 @@ def test_answers_are_sorted_and_cut_at_the_border():
     assert checked.images == 1
 
 
+@pytest.mark.parametrize(
+    "form",
+    [
+        lambda boxes, scores: (boxes, scores),
+        lambda boxes, scores: [boxes, scores],
+        lambda boxes, scores: {"labels": [1], "boxes": boxes, "scores": scores},
+        answer,
+    ],
+)
+def test_any_callable_is_a_detector(form):
+    def theirs(images):
+        return [form([BOX], [0.5])] * len(images)
+
+    asked = CheckedAnswers(theirs)
+    first, second = asked.detect(torch.cat([IMAGES, IMAGES]))
+    assert first.boxes.tolist() == second.boxes.tolist() == [BOX]
+    assert (asked.name, asked.images) == ("theirs", 2)
+
+
+def test_a_callable_has_a_name_that_can_be_a_files():
+    assert CheckedAnswers(lambda images: []).name == "lambda"
+    assert CheckedAnswers(partial(print), name="mine").name == "mine"
+    for detector, name in [(partial(print), None), (print, "../out"), (3, "three")]:
+        with pytest.raises(ConfigurationError, match="callable with a plain name") as error:
+            CheckedAnswers(detector, name)
+        assert "give a function from images to boxes and scores" in str(error.value)
+
+
+def test_a_callables_threshold_is_frozen_on_labelled_images():
+    image, box = torch.zeros(3, 40, 60, dtype=torch.uint8), torch.tensor([BOX])
+    images = Dataset.of_images([image], [box], gsd_m=0.125)
+    found = load_detector(lambda images: [(box, [0.5])] * len(images), images, name="mine")
+    assert (found.name, found.threshold, found.card.gsd_m) == ("mine", 0.255, 0.125)
+    with pytest.raises(ConfigurationError, match="The threshold of mine is frozen on labelled"):
+        load_detector(lambda images: [], None, name="mine")
+    with pytest.raises(ConfigurationError, match="mine finds none of the 1 vehicles"):
+        load_detector(lambda images: [([], [])] * len(images), images, name="mine")
+
+
 @pytest.mark.parametrize("empty", [[], torch.zeros(0), torch.zeros(0, 4)])
 def test_nothing_found_is_an_answer(empty):
     (found,) = CheckedAnswers(Says(answer(empty, []))).detect(IMAGES)
@@ -63,8 +104,8 @@ def test_nothing_found_is_an_answer(empty):
         ([answer([BOX], [0.5, 0.6])], "boxes are [K, 4] and scores [K], got [1, 4] and [2]"),
         ([answer([], [0.5])], "1 scores without boxes"),
         ([answer([BOX[:3]], [0.5])], "boxes are [K, 4]"),
-        ([answer("none", [0.5])], "sp.Detections"),
-        ([None], "sp.Detections with boxes and scores, got AttributeError"),
+        ([answer("none", [0.5])], "each image expects boxes and scores, got ValueError"),
+        ([None], "each image expects boxes and scores, got AttributeError"),
         ([], "1 images expect as many answers, got 0"),
         ([answer([], []), answer([], [])], "as many answers, got 2"),
     ],

@@ -13,12 +13,18 @@ from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.detector import Detections
 from skyproof.detectors.inference import detect_all
 from skyproof.detectors.matching import match_images
-from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS, REFERENCE_FOLDER
+from skyproof.detectors.reference_detectors import (
+    REFERENCE_DETECTORS,
+    REFERENCE_FOLDER,
+    reference_detector,
+)
 from skyproof.detectors.training import validate
 from skyproof.errors import ConfigurationError
 from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.render.dataset import placed_vehicles
 from skyproof.results.precheck import read_prechecks
+from skyproof.scenes.sampling import sample_scenes
+from skyproof.scenes.settings import SceneSettings
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 
 SCENES, SIDE_PX = 24, 128
@@ -32,8 +38,8 @@ def images(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     ground = write_procedural_backgrounds(folder / "ground", {"test": 6}, 260, seed=77)
     generator = torch.Generator().manual_seed(77)
     fleet = sample_fleet(FleetSettings(12), generator=generator)
-    settings = sp.SceneSettings(size_px=SIDE_PX, vehicles_maximum=3)
-    scenes = sp.sample_scenes(settings, ground, "test", fleet.sizes_m, SCENES, generator=generator)
+    settings = SceneSettings(size_px=SIDE_PX, vehicles_maximum=3)
+    scenes = sample_scenes(settings, ground, "test", fleet.sizes_m, SCENES, generator=generator)
     with torch.no_grad():
         frames = sp.TorchRenderer(ground)(scenes, placed_vehicles(fleet, scenes))
     pixels = (frames.image * 255).round().byte()
@@ -49,7 +55,7 @@ def recall_and_precision(found: list[Detections], images: Dataset, threshold: fl
 
 @pytest.mark.parametrize("name", REFERENCE_DETECTORS)
 def test_they_find_vehicles_at_their_frozen_threshold(name: str, images: Dataset) -> None:
-    judge = sp.reference_detector(name)
+    judge = reference_detector(name)
     found = detect_all(judge.detector, images)
     recall, precision = recall_and_precision(found, images, judge.threshold)
     assert recall > 0.7
@@ -64,7 +70,7 @@ def test_halves_are_stored_and_single_precision_is_computed_with(name: str) -> N
     assert path.stat().st_size <= LARGEST_BYTES
     stored = load_file(path)
     assert {tensor.dtype for tensor in stored.values()} == {torch.float16, torch.int64}
-    loaded = sp.reference_detector(name)
+    loaded = reference_detector(name)
     assert {parameter.dtype for parameter in loaded.detector.parameters()} == {torch.float32}
     for key, tensor in loaded.detector.state_dict().items():
         assert torch.equal(tensor, stored[key].to(tensor.dtype)), key
@@ -88,14 +94,14 @@ def test_how_they_were_made_is_told_beside_them() -> None:
     assert "Apache-2.0" in page
     assert "skyproof reproduce --preset reference" in page
     for name in REFERENCE_DETECTORS:
-        assert f"{sp.reference_detector(name).threshold:.3f}" in page
+        assert f"{reference_detector(name).threshold:.3f}" in page
     assert {path.name for path in REFERENCE_FOLDER.iterdir()} == {"README.md", *REFERENCE_DETECTORS}
 
 
 @pytest.mark.parametrize("name", ["yolov5", "../retinanet", ""])
 def test_no_other_comes_trained(name: str) -> None:
     with pytest.raises(ConfigurationError, match="does not come trained"):
-        sp.reference_detector(name)
+        reference_detector(name)
 
 
 def test_halves_are_widened_wherever_a_detector_lies(tmp_path: Path) -> None:
@@ -104,7 +110,7 @@ def test_halves_are_widened_wherever_a_detector_lies(tmp_path: Path) -> None:
     from skyproof.detectors.weights import plain_state, weights_digest
     from skyproof.storage import write_tensors
 
-    judge = sp.reference_detector("retinanet")
+    judge = reference_detector("retinanet")
     save_detector(tmp_path, judge.detector, judge.card)
     assert load_file(tmp_path / "weights.safetensors").keys() == plain_state(judge.detector).keys()
     single = (tmp_path / "weights.safetensors").stat().st_size

@@ -9,7 +9,11 @@ import pytest
 import torch
 
 import skyproof as sp
+from skyproof.detectors.reference_detectors import reference_detector
 from skyproof.maite import CamouflageAugmentation, DetectorModel
+from skyproof.render.dataset import render_dataset
+from skyproof.scenes.sampling import sample_scenes
+from skyproof.scenes.settings import SceneSettings
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 from tests.rendered_world import make_world
 
@@ -37,13 +41,13 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> Folders:
     generator = torch.Generator().manual_seed(0)
     fleet = sample_fleet(FleetSettings(6), generator=generator)
     fleet.save(folder / "fleet")
-    settings = sp.SceneSettings(size_px=160, vehicles_minimum=2, vehicles_maximum=4)
-    scenes = sp.sample_scenes(settings, world.ground, "test", fleet.sizes_m, 6, generator=generator)
+    settings = SceneSettings(size_px=160, vehicles_minimum=2, vehicles_maximum=4)
+    scenes = sample_scenes(settings, world.ground, "test", fleet.sizes_m, 6, generator=generator)
     camouflage = sp.make_camouflage("R-U", generator=generator)
     sp.save_camouflage(folder / "R-U-0", camouflage)
     renderer = sp.TorchRenderer(world.ground)
-    sp.render_dataset(folder / "original", scenes, fleet, renderer)
-    sp.render_dataset(folder / "camouflaged", scenes, fleet, renderer, camouflage=camouflage)
+    render_dataset(folder / "original", scenes, fleet, renderer)
+    render_dataset(folder / "camouflaged", scenes, fleet, renderer, camouflage=camouflage)
     return Folders(
         folder / "ground",
         folder / "fleet",
@@ -56,4 +60,4 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> Folders:
 @pytest.fixture(scope="session")
 def model() -> DetectorModel:
     """The RetinaNet that comes with skyproof."""
-    return DetectorModel(sp.reference_detector("retinanet"))
+    return DetectorModel(reference_detector("retinanet"))

@@ -20,6 +20,7 @@ import skyproof as sp
 from skyproof.assessment.request import Request
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.answers import CheckedAnswers
+from skyproof.detectors.reference_detectors import reference_detector
 from skyproof.errors import ConfigurationError, DetectorAnswerError, StoredFileError
 from skyproof.maite import (
     CamouflageAugmentation,
@@ -29,6 +30,7 @@ from skyproof.maite import (
     Target,
     VehicleDataset,
 )
+from skyproof.render.dataset import render_dataset
 from skyproof.render.settings import RenderSettings
 from skyproof.results.pairs.tiles import count_tiles
 from skyproof.results.statistics.rates import overall_attack_success_rate
@@ -87,7 +89,7 @@ def test_maite_evaluates_a_camouflage(folders: Folders, model: DetectorModel) ->
 
 
 def test_the_metric_counts_as_our_tables_do(folders: Folders, model: DetectorModel) -> None:
-    judge = sp.reference_detector("retinanet")
+    judge = reference_detector("retinanet")
     outcomes = sp.measure(
         [judge],
         sp.Dataset.open(folders.original).scenes,
@@ -240,7 +242,7 @@ def test_two_classes_of_one_vehicle_are_one_detection() -> None:
 
 
 def test_a_models_id_tells_its_threshold() -> None:
-    loaded = sp.reference_detector("retinanet")
+    loaded = reference_detector("retinanet")
     other = replace(loaded, card=replace(loaded.card, threshold=0.9))
     ids = [DetectorModel(each).metadata["id"] for each in (loaded, other, loaded)]
     assert ids[0] == ids[2] != ids[1]
@@ -255,8 +257,8 @@ def test_a_camouflage_is_drawn_as_its_dataset_was(
     renderer = sp.TorchRenderer(ground, RenderSettings(blur_sigma_px=2.4, light=light))
     scenes = original.scenes[:1]
     camouflage = sp.load_camouflage(folders.camouflage)
-    sp.render_dataset(tmp_path / "blurred", scenes, fleet, renderer)
-    sp.render_dataset(tmp_path / "hidden", scenes, fleet, renderer, camouflage=camouflage)
+    render_dataset(tmp_path / "blurred", scenes, fleet, renderer)
+    render_dataset(tmp_path / "hidden", scenes, fleet, renderer, camouflage=camouflage)
     blurred, hidden = VehicleDataset(tmp_path / "blurred"), VehicleDataset(tmp_path / "hidden")
 
     def augmentation() -> CamouflageAugmentation:
@@ -303,7 +305,7 @@ class SomebodysModel:
     def __init__(self, classes: list[str], *, columns: bool = False) -> None:
         self.metadata = {"id": "else/where 1", "index2label": dict(enumerate(classes))}
         self._columns = columns
-        self._model = DetectorModel(sp.reference_detector("retinanet"))
+        self._model = DetectorModel(reference_detector("retinanet"))
 
     def __call__(self, batch_input: Any, /) -> list[SimpleNamespace]:
         answers = []
@@ -321,7 +323,7 @@ class SomebodysModel:
 def test_a_maite_model_is_a_detector(folders: Folders, *, columns: bool) -> None:
     theirs = SomebodysModel(["van", "tree", "car"], columns=columns)
     image = torch.from_numpy(VehicleDataset(folders.original).get_input(0))[None]
-    (expected,) = sp.reference_detector("retinanet").detector.detect(image / 255)
+    (expected,) = reference_detector("retinanet").detector.detect(image / 255)
     for largest_value in (1, 255):
         detector = ModelDetector(
             theirs, vehicle_classes=["car", "van"], largest_value=largest_value

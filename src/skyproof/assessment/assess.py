@@ -34,6 +34,7 @@ from skyproof.errors import ConfigurationError
 from skyproof.ranges import check_ranges
 
 if TYPE_CHECKING:
+    from skyproof.detectors.answers import Answering
     from skyproof.detectors.detector import Detector
 
 _SCORED_AT_ONCE = 24
@@ -121,9 +122,10 @@ def plan_assessment(request: Request, suite_file: Path = SUITE) -> None:
 
 
 def assess(
-    detector: str | Path | Detector | Sequence[str | Path],
+    detector: str | Path | Sequence[str | Path] | Detector | Answering,
     out: str | Path,
     *,
+    name: str | None = None,
     imagery: str | Path | Sequence[str | Path] = (),
     gsd: float | None = None,
     labels: str | Path | None = None,
@@ -140,42 +142,42 @@ def assess(
     seed: int = 0,
     device: str = "auto",
 ) -> Path:
-    """Puts detectors to the suite of attacks, as `skyproof assess` does, and writes a report.
+    """Tests detectors with the suite of attacks, as `skyproof assess` does, and writes a report.
 
-    Of a detector that is an object, only `name` and `detect` are used: attacks are optimised on the
-    detectors that come with skyproof, and carried on by query attacks. Its threshold is frozen on
-    the labels; without any, on rendered vehicles. What stops half-way, a server too, goes on when
-    the same is asked again. A MAITE model of object detection is such a detector, too, under its
-    `id`; one that takes bytes instead of floats is given as `skyproof.maite.ModelDetector`.
+    Of a callable only the answers are used: attacks are optimised on the reference detectors and
+    continued by query attacks. Its threshold is frozen on the labels, or on rendered vehicles
+    without any. A stopped run continues when the same call is made again.
 
     Args:
         detector: a detector folder, "retinanet" or "faster_rcnn", or several of them, which are
-            attacked together; or a checkpoint file, an object with `name` and `detect`, or a MAITE
-            model.
+            attacked together; or a checkpoint file; or a callable, which takes sRGB images
+            `[B, 3, H, W]` in [0, 1] and returns boxes `[K, 4]` (left, top, right, bottom in pixels)
+            and scores `[K]` of each; or a MAITE model.
         out: run folder.
-        imagery: photographs, or folders of them; ground is drawn where not given.
-        gsd: metres per pixel of images that do not say it themselves.
+        name: name of a callable in tables; its own `name` or `__name__` if None.
+        imagery: orthophotos or folders of them; ground is drawn without any.
+        gsd: metres per pixel of imagery that does not state it.
         labels: file or folder of labels of the vehicles in the imagery.
-        label_classes: classes of the labels that are vehicles.
-        vehicle_classes: classes of a checkpoint or of a MAITE model that are vehicles.
+        label_classes: vehicle classes of the labels.
+        vehicle_classes: vehicle classes of a checkpoint or of a MAITE model.
         architecture: architecture of a torchvision checkpoint.
-        detector_gsd: metres per pixel that a checkpoint or an object was made for.
-        accept: share of found vehicles that a detector may lose to the worst attack.
-        reject: the share lost from which on it is refused.
-        producer_risk: largest chance that a detector which loses `accept` is rejected.
-        consumer_risk: largest chance that a detector which loses `reject` is accepted.
-        cycles: judge the test scenes as Blender Cycles draws them, too.
+        detector_gsd: metres per pixel that a checkpoint or a callable was made for.
+        accept: share of found vehicles that the worst attack may hide.
+        reject: share of hidden vehicles from which a detector is rejected.
+        producer_risk: largest chance that a detector at `accept` is rejected.
+        consumer_risk: largest chance that a detector at `reject` is accepted.
+        cycles: render the test scenes with Blender Cycles, too.
         blender: a Blender 4.5 executable, or a Python that has bpy 4.5.
-        seed: decides everything that is drawn.
+        seed: seed of everything that is drawn.
         device: "auto", "cpu" or "cuda".
 
     Returns:
         The report's path.
 
     Raises:
-        ConfigurationError: arguments that cannot work, or not together.
-        DetectorAnswerError: the object stopped answering, or gave what is no answer.
-        SkyproofError: whatever else stops a step, in a sentence.
+        ConfigurationError: an argument is out of range, or does not fit the others.
+        DetectorAnswerError: the callable failed, or its answer is impossible.
+        SkyproofError: another error stopped a step.
     """
     black_box = None
     if isinstance(detector, str | Path):
@@ -183,7 +185,7 @@ def assess(
     elif isinstance(detector, Sequence):
         places = [Path(place) for place in detector]
     else:
-        black_box = checked_object(detector, vehicle_classes, architecture)
+        black_box = checked_object(detector, name, vehicle_classes, architecture)
         places = [Path(black_box.name)]
     request = Request(
         detectors=tuple(places),

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from skyproof.assessment.objects import freeze_object
 from skyproof.assessment.run import START_S, Step
 from skyproof.assessment.subject import Subject
 from skyproof.camouflage.fleets import draw_fleets
@@ -14,6 +13,8 @@ from skyproof.console import progress_bar, say, stage_bars
 from skyproof.cycles.opening import open_renderer
 from skyproof.cycles.rendering import Rendering
 from skyproof.datasets.dataset import Dataset
+from skyproof.detectors.black_box import frozen_card
+from skyproof.detectors.card import write_card
 from skyproof.detectors.import_checkpoint import Checkpoint, import_detector
 from skyproof.detectors.loaded import copy_detector, load_detector
 from skyproof.detectors.reference_detectors import detector_folder
@@ -187,7 +188,9 @@ def brought(its: Subject, name: str, place: Path | None, validation: Path) -> St
         images = Dataset.open(validation)
         if place is None:
             assert its.black_box is not None
-            card = freeze_object(its.black_box, images, out)
+            card = frozen_card(its.black_box, images)
+            out.mkdir(parents=True, exist_ok=True)
+            write_card(out / "detector.json", card, "")
         else:
             kind = "torchvision" if request.architecture else "ultralytics"
             checkpoint = Checkpoint(place, kind, request.vehicle_classes, request.architecture)

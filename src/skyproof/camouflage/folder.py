@@ -28,7 +28,7 @@ _REMEDY = "copy the whole folder again, or make the camouflage again"
 
 
 def save_camouflage(
-    folder: Path, camouflage: Camouflage, record: dict[str, Any] | None = None
+    folder: str | Path, camouflage: Camouflage, record: dict[str, Any] | None = None
 ) -> None:
     """Writes the folder; `camouflage.json` comes last, so a folder that has it is whole.
 

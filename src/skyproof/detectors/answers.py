@@ -1,11 +1,11 @@
-"""Checks the answers of a black-box detector before anything uses them.
+"""Any callable as a detector, whose answers are checked before anything uses them.
 
-A black box may be a library, a program or a server; it may fail, or answer in other coordinates.
+It may ask a library, a program or a server; it may fail, or answer in other coordinates.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import torch
@@ -13,24 +13,49 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from skyproof.detectors.detector import Detections, Detector
-from skyproof.errors import DetectorAnswerError, SkyproofError
+from skyproof.errors import ConfigurationError, DetectorAnswerError, SkyproofError
+from skyproof.ranges import is_name
 
 _SHOWN = 200
 _GO_ON = "the same command goes on where it stopped"
 
 
-class CheckedAnswers:
-    """Runs a detector and returns its answers in the form that the rest of skyproof expects.
+Answering = Callable[[Any], Sequence[object]]
+"""A function from images to the boxes and scores of each; see `CheckedAnswers`."""
 
-    Boxes are sorted by falling score and clipped to the image. `images` counts the images shown so
-    far.
+
+class CheckedAnswers:
+    """Asks a callable and returns its answers in the form that the rest of skyproof expects.
+
+    The callable, or the method `detect` of an object, takes sRGB images `[B, 3, H, W]` in [0, 1]
+    and gives boxes `[K, 4]` (left, top, right, bottom in pixels) and scores `[K]` in [0, 1] of each
+    image: as a pair, or as attributes or items called `boxes` and `scores`.
+
+    Args:
+        detector: the callable, or the object.
+        name: its name in tables; its own `name` or `__name__` if None.
+
+    Attributes:
+        name: its name in tables.
+        images: number of images shown so far.
+
+    Raises:
+        ConfigurationError: it cannot be called, or has no name that can be a file's.
     """
 
-    def __init__(self, detector: Detector) -> None:
-        self.name = detector.name
+    def __init__(self, detector: object, name: str | None = None) -> None:
+        own = getattr(detector, "name", None) or getattr(detector, "__name__", "").strip("<>")
+        self.name: str = own if name is None else name
         self.images = 0
-        self._detector = detector
+        self._detect: Any = getattr(detector, "detect", detector)
+        if not callable(self._detect) or not isinstance(self.name, str) or not is_name(self.name):
+            raise ConfigurationError(
+                "A detector is a folder, a file, or a callable with a plain name (no separators, "
+                f"not dots alone), got {type(detector).__name__} named {str(self.name)[:100]!r}; "
+                "give a function from images to boxes and scores, and name=."
+            )
 
+    @torch.no_grad()
     def detect(self, images: Float[Tensor, "B 3 H W"]) -> list[Detections]:
         """See `Detector.detect`.
 
@@ -38,7 +63,7 @@ class CheckedAnswers:
             DetectorAnswerError: the detector failed, or its answer is impossible.
         """
         try:
-            answers = self._detector.detect(images)
+            answers = self._detect(images)
         except SkyproofError:
             raise
         except Exception as error:
@@ -56,12 +81,11 @@ class CheckedAnswers:
 
     def _checked(self, answer: Any, width_px: int, height_px: int) -> Detections:
         try:
-            boxes = torch.as_tensor(answer.boxes).detach().float().cpu()
-            scores = torch.as_tensor(answer.scores).detach().float().cpu()
-        except (AttributeError, TypeError, ValueError, RuntimeError) as error:
-            raise self._wrong(
-                "an answer is sp.Detections with boxes and scores", _in_short(error)
-            ) from error
+            boxes, scores = (
+                torch.as_tensor(part).detach().float().cpu() for part in _parts(answer)
+            )
+        except (AttributeError, KeyError, TypeError, ValueError, RuntimeError) as error:
+            raise self._wrong("each image expects boxes and scores", _in_short(error)) from error
         if scores.ndim != 1 or (tuple(boxes.shape) != (len(scores), 4) and boxes.numel()):
             raise self._wrong(
                 "boxes are [K, 4] and scores [K]", f"{[*boxes.shape]} and {[*scores.shape]}"
@@ -91,15 +115,23 @@ class CheckedAnswers:
     def _wrong(self, expected: str, got: str) -> DetectorAnswerError:
         return DetectorAnswerError(
             f"The detector {self.name} gave an answer that cannot be one: {expected}, got {got}; "
-            f"correct its detect, and {_GO_ON}."
+            f"correct it, and {_GO_ON}."
         )
 
 
 def checked(detector: Detector) -> Detector:
-    """Wraps a detector that is no torch network in `CheckedAnswers`, unless it already is."""
-    if isinstance(detector, nn.Module | CheckedAnswers):
-        return detector
-    return CheckedAnswers(detector)
+    """Wraps a detector of somebody else's in `CheckedAnswers`, unless it already is."""
+    ours = isinstance(detector, nn.Module) and isinstance(detector, Detector)
+    return detector if ours or isinstance(detector, CheckedAnswers) else CheckedAnswers(detector)
+
+
+def _parts(answer: Any) -> tuple[Any, Any]:
+    if isinstance(answer, Mapping):
+        return answer["boxes"], answer["scores"]
+    if isinstance(answer, tuple | list):
+        boxes, scores = answer
+        return boxes, scores
+    return answer.boxes, answer.scores
 
 
 def _in_short(error: Exception) -> str:

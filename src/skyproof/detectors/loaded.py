@@ -6,11 +6,13 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar, overload
 
 import torch
 from torch import nn
 
+from skyproof.datasets.dataset import Dataset
+from skyproof.detectors.answers import Answering
 from skyproof.detectors.build import DETECTOR_NAMES, build_detector
 from skyproof.detectors.card import DetectorCard, read_card_and_digest, write_card
 from skyproof.detectors.detector import Detector, TrainableDetector
@@ -28,8 +30,7 @@ DetectorT_co = TypeVar("DetectorT_co", bound=Detector, covariant=True)
 class LoadedDetector(Generic[DetectorT_co]):
     """A detector and its card: the object that finds vehicles, and the meaning of its scores.
 
-    `load_detector` makes one from a folder. A black box is wrapped by hand: `LoadedDetector(mine,
-    DetectorCard("mine", threshold=0.5, gsd_m=0.125))`.
+    `load_detector` makes one from a folder or from a callable.
 
     Attributes:
         detector: the network, or any object with `detect`.
@@ -77,17 +78,34 @@ def copy_detector(folder: Path, out: Path, also: Sequence[str] = ()) -> None:
             write_bytes(out / name, file.read_bytes())
 
 
-def load_detector(folder: str | Path) -> LoadedDetector[TrainableDetector]:
-    """Builds the detector that a folder describes and loads its weights; in eval mode, on the CPU.
+@overload
+def load_detector(detector: str | Path) -> LoadedDetector[TrainableDetector]: ...
+@overload
+def load_detector(
+    detector: Answering, labelled: Dataset, *, name: str | None = None
+) -> LoadedDetector[Detector]: ...
+def load_detector(
+    detector: str | Path | Answering, labelled: Dataset | None = None, *, name: str | None = None
+) -> LoadedDetector[Any]:
+    """Opens a detector folder on the CPU, or wraps a callable of somebody else's.
 
-    "retinanet" and "faster_rcnn" name the folders that ship with skyproof. Weights may be stored in
-    half precision; the detector always has single precision.
+    Args:
+        detector: a detector folder, "retinanet" or "faster_rcnn"; or a callable, which takes sRGB
+            images `[B, 3, H, W]` in [0, 1] and returns boxes `[K, 4]` (left, top, right, bottom in
+            pixels) and scores `[K]` of each image.
+        labelled: images on which a callable's threshold is frozen.
+        name: name of a callable in tables; its own `name` or `__name__` if None.
 
     Raises:
         StoredFileError: a file is missing, damaged, of another format, or the tensors do not fit.
-        ConfigurationError: the folder holds a YOLOv5 and the yolo extra is missing.
+        ConfigurationError: the folder holds a YOLOv5 and the yolo extra is missing, or a callable
+            has no name or finds no vehicle.
     """
-    place = detector_folder(folder)
+    if not isinstance(detector, str | Path):
+        from skyproof.detectors.black_box import open_black_box
+
+        return open_black_box(detector, labelled, name)
+    place = detector_folder(detector)
     with reinstalled(place):
         return _load(place)
 

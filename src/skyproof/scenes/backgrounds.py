@@ -50,7 +50,7 @@ class BackgroundSet:
         self._decoding = Lock()
 
     @classmethod
-    def open(cls, folder: Path) -> BackgroundSet:
+    def open(cls, folder: str | Path) -> BackgroundSet:
         """Opens a set that `write_procedural_backgrounds` or `tile_imagery` wrote.
 
         Raises:

@@ -171,7 +171,7 @@ class Fleet:
         write_json(folder / "fleet.json", description)
 
     @staticmethod
-    def load(folder: Path) -> Fleet:
+    def load(folder: str | Path) -> Fleet:
         """Reads what `save` wrote.
 
         Raises:
