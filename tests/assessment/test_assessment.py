@@ -109,7 +109,7 @@ def test_every_attack_is_scored_beside_its_controls(folder):
     assert len(names) == len(set(names))
     for name in SUITE.names:
         assert str(name) in names
-        assert {str(control) for control in name.unlearnt} <= set(names)
+        assert {str(control) for control in controls(name).chosen} <= set(names)
         draws = [str(name.control.with_repeat(draw)) for draw in range(SUITE.draws)]
         assert set(draws) <= set(names)
 

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from skyproof.attacks.attack import attack
-from skyproof.attacks.held_out import BATCHES, HeldOut, Judged
+from skyproof.attacks.held_out import BATCHES, HeldOut, Hidden
 from skyproof.camouflage.folder import read_record
 from skyproof.camouflage.paint import plain_paint
 from tests.attacks.test_kinds import FEW, BrightnessDetector, start, world
@@ -21,9 +21,9 @@ class Told(HeldOut):
         self.answers = list(hidden)
         self.shown = []
 
-    def judge(self, camouflage, batches=BATCHES):
+    def measure(self, camouflage, batches=BATCHES):
         self.shown.append((bool(camouflage.finished), camouflage.cells.detach().clone()))
-        return Judged(self.answers.pop(0), 0.0)
+        return Hidden(self.answers.pop(0), 0.0)
 
 
 def learn(folder, world, held_out, *, name="T-PixFc", **more):
@@ -33,7 +33,7 @@ def learn(folder, world, held_out, *, name="T-PixFc", **more):
 
 def test_dark_paint_hides_from_what_fires_where_it_is_bright(world):
     held_out = HeldOut([loaded(0.6)], world, FEW.seed)
-    black, white = (held_out.judge(plain_paint((level,) * 3, masked=False)) for level in (0, 255))
+    black, white = (held_out.measure(plain_paint((level,) * 3, masked=False)) for level in (0, 255))
     assert black > white
     assert black.hidden > 0.5 > white.hidden
     assert held_out.scenes() == 64
@@ -42,8 +42,8 @@ def test_dark_paint_hides_from_what_fires_where_it_is_bright(world):
 def test_of_scenes_in_which_a_detector_found_nothing_before_nothing_is_hidden(world):
     held_out = HeldOut([loaded(0.6)], world, FEW.seed)
     # It finds the vehicles of later batches alone.
-    held_out.__dict__["_bare"] = {"brightness": torch.arange(64) >= 16}
-    assert held_out.judge(plain_paint((0, 0, 0), masked=False), 2).hidden == 0
+    held_out.__dict__["_found"] = {"brightness": torch.arange(64) >= 16}
+    assert held_out.measure(plain_paint((0, 0, 0), masked=False), 2).hidden == 0
 
 
 def test_a_batch_is_as_large_as_asked_for_and_not_that_of_the_steps(world):
@@ -55,10 +55,10 @@ def test_a_batch_is_as_large_as_asked_for_and_not_that_of_the_steps(world):
 
 def test_of_several_detectors_it_is_the_mean(world):
     paint = plain_paint((100, 100, 100), masked=False)
-    one, two = (HeldOut([loaded(t)], world, FEW.seed, 3).judge(paint).hidden for t in (0.3, 0.7))
+    one, two = (HeldOut([loaded(t)], world, FEW.seed, 3).measure(paint).hidden for t in (0.3, 0.7))
     both = HeldOut([loaded(0.3), loaded(0.7, "dim")], world, FEW.seed, 3)
     assert one != two
-    assert both.judge(paint).hidden == pytest.approx((one + two) / 2)
+    assert both.measure(paint).hidden == pytest.approx((one + two) / 2)
 
 
 @pytest.mark.parametrize(("later", "converged"), [(0.42, True), (0.43, False), (0.2, True)])

@@ -222,5 +222,5 @@ def test_a_repeat_keeps_its_number_at_the_end_of_a_snapshots_name(tmp_path, worl
 
 def test_a_finished_camouflage_has_nothing_to_learn(tmp_path, world):
     finished = start("T-Pix").requires_grad_(False)
-    with pytest.raises(ConfigurationError, match="nothing to learn"):
+    with pytest.raises(ConfigurationError, match="nothing to optimise"):
         attack(finished, [BrightnessDetector()], world, FEW, tmp_path)

@@ -164,7 +164,7 @@ def test_a_detector_that_finds_nothing_cannot_be_attacked(tmp_path: Path, world:
 
 
 def test_a_budget_for_less_than_one_generation_is_refused(tmp_path: Path, world: World) -> None:
-    with pytest.raises(ConfigurationError, match="at least 70 images to be asked, got 69"):
+    with pytest.raises(ConfigurationError, match="at least 70 images to be queried, got 69"):
         query_attack(
             finished("T-Pix"), judge(Answering()), world, replace(FEW, images=69), tmp_path
         )

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from skyproof.attacks.attack import attack
-from skyproof.attacks.held_out import BATCHES, HeldOut, Judged
+from skyproof.attacks.held_out import BATCHES, HeldOut, Hidden
 from skyproof.attacks.search import choose
 from skyproof.attacks.world import World
 from skyproof.camouflage.camouflage import Camouflage, random_part
@@ -85,13 +85,13 @@ def test_the_paint_that_hides_most_is_chosen(world: World) -> None:
     paints = [plain_paint((level,) * 3, masked=False) for level in (255, 0, 128)]
     shown = []
     held_out = HeldOut([loaded(0.6)], world, FEW.seed)
-    chosen = choose(paints, held_out, on_candidate=shown.append)
-    assert chosen.camouflage is paints[1]
-    assert chosen.hidden[1] > max(chosen.hidden[0], chosen.hidden[2])
-    assert len(chosen.hidden) == 3
+    chosen, record = choose(paints, held_out, progress=lambda number, _: shown.append(number))
+    assert chosen is paints[1]
+    assert record["hidden"][1] > max(record["hidden"][0], record["hidden"][2])
+    assert len(record["hidden"]) == 3
     assert shown == [0, 1, 2]
-    assert (chosen.scenes, chosen.final_scenes) == (16, 64)
-    assert chosen.finalists == {1: held_out.judge(paints[1]).hidden}
+    assert (record["scenes"], record["final_scenes"]) == (16, 64)
+    assert record["finalists"] == {str(paints[1].name): held_out.measure(paints[1]).hidden}
 
 
 def test_all_scenes_decide_between_the_finalists(world: World) -> None:
@@ -101,14 +101,14 @@ def test_all_scenes_decide_between_the_finalists(world: World) -> None:
         few = (0.1, 0.5, 0.4, 0.2, 0.3)
         all = (1.0, 0.2, 0.3, 1.0, 1.0)
 
-        def judge(self, camouflage: Camouflage, batches: int = BATCHES) -> Judged:
+        def measure(self, camouflage: Camouflage, batches: int = BATCHES) -> Hidden:
             number = next(n for n, paint in enumerate(paints) if paint is camouflage)
-            return Judged((self.all if batches == BATCHES else self.few)[number], 0.0)
+            return Hidden((self.all if batches == BATCHES else self.few)[number], 0.0)
 
     paints = [plain_paint((level,) * 3, masked=False) for level in (0, 64, 128, 192, 255)]
-    chosen = choose(paints, Told([loaded(0.6)], world, FEW.seed))
-    assert chosen.camouflage is paints[2]
-    assert chosen.finalists == {1: 0.2, 2: 0.3}
+    chosen, record = choose(paints, Told([loaded(0.6)], world, FEW.seed))
+    assert chosen is paints[2]
+    assert record["finalists"] == {str(paints[1].name): 0.2, str(paints[2].name): 0.3}
 
 
 def test_candidates_are_the_paints_under_the_mask_or_the_draws_themselves() -> None:
@@ -135,7 +135,7 @@ def test_a_plain_paint_has_no_other_constraint() -> None:
 
 def test_a_detector_that_finds_nothing_has_nothing_to_hide_from(world: World) -> None:
     with pytest.raises(ConfigurationError, match="brightness finds no vehicle"):
-        HeldOut([loaded(1.0)], world, FEW.seed).judge(plain_paint((0, 0, 0), masked=False))
+        HeldOut([loaded(1.0)], world, FEW.seed).measure(plain_paint((0, 0, 0), masked=False))
 
 
 def test_parts_of_a_map_are_of_all_sizes_and_everywhere() -> None:

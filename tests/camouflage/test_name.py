@@ -3,6 +3,7 @@
 import pytest
 
 from skyproof.camouflage.constraints import TextureConstraints
+from skyproof.camouflage.controls import controls
 from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
 
@@ -166,7 +167,7 @@ def test_variants_and_repeats_are_added_in_their_places():
 
 
 @pytest.mark.parametrize(
-    ("learnt", "controls"),
+    ("learnt", "expected"),
     [
         ("T-U", ["R-U_plain", "R-U_best", "R-U_search"]),
         ("T-PixFcMa_on_yolov5-2", ["R-Ma_plain", "R-PixFcMa_best", "R-PixFcMa_search"]),
@@ -174,10 +175,10 @@ def test_variants_and_repeats_are_added_in_their_places():
         ("C-Lc-par@0.2", ["R-C-U@0.2_plain", "R-C-Lc@0.2_best", "R-C-Lc@0.2_search"]),
     ],
 )
-def test_what_a_sceptic_sets_beside_a_learnt_one(learnt, controls):
+def test_every_attack_has_three_chosen_controls(learnt, expected):
     name = CamouflageName.parse(learnt)
-    assert [str(control) for control in name.unlearnt] == controls
-    assert all(CamouflageName.parse(text).choice for text in controls)
+    assert [str(control) for control in controls(name).chosen] == expected
+    assert all(CamouflageName.parse(text).choice for text in expected)
 
 
 @pytest.mark.parametrize(
@@ -190,7 +191,7 @@ def test_what_a_sceptic_sets_beside_a_learnt_one(learnt, controls):
     ],
 )
 def test_copies_of_a_search_say_after_how_many_images(name, kept):
-    found = CamouflageName.parse(name).asked(1500)
+    found = CamouflageName.parse(name).after_queries(1500)
     assert str(found) == kept
     # It is neither a random draw nor a chosen control.
     assert found.choice is None
@@ -198,9 +199,9 @@ def test_copies_of_a_search_say_after_how_many_images(name, kept):
 
 
 def test_a_combination_has_its_own_texture_under_random_shapes():
-    assert str(CamouflageName.parse("C-Fc-par@0.2-1").drawn_shape) == "R-C-Fc-par@0.2"
-    assert CamouflageName.parse("T-Fc").drawn_shape is None
-    assert CamouflageName.parse("R-C-Fc-seq@0.2").drawn_shape is None
+    assert str(controls(CamouflageName.parse("C-Fc-par@0.2-1")).random_shape) == "R-C-Fc-par@0.2"
+    assert controls(CamouflageName.parse("T-Fc")).random_shape is None
+    assert controls(CamouflageName.parse("R-C-Fc-seq@0.2")).random_shape is None
     with pytest.raises(ConfigurationError, match=r"only R-C-Fc@0.2_best is chosen"):
         CamouflageName.parse("R-C-Fc-seq@0.2_best")
 

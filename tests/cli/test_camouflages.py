@@ -164,7 +164,7 @@ def test_a_texture_without_constraints_and_a_shape_need_nothing_else(attack) -> 
         ),
         ("S-O@1.2", [], ["from 0 to 1", "got 1.2"]),
         ("S-O@-0.1", [], ["from 0 to 1"]),
-        ("S-O@0", [], ["magnitude 0", "nothing to learn"]),
+        ("S-O@0", [], ["magnitude 0", "nothing to optimise"]),
         ("T-Fc", ["--camouflage.colours", 1], ["colours expects a whole number from 2"]),
         ("T-Lc", ["--camouflage.colours", 1], ["colours expects a whole number from 2"]),
         ("C-Pix-seq@0.2", [], ["T-Pix", "--texture"]),

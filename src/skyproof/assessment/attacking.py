@@ -14,7 +14,7 @@ from skyproof.attacks.queries import query_attack
 from skyproof.attacks.settings import AttackSettings
 from skyproof.camouflage.folder import load_camouflage
 from skyproof.camouflage.make import make_camouflage
-from skyproof.camouflage.name import ASKED, TRANSFER, CamouflageName
+from skyproof.camouflage.name import QUERIED, TRANSFER, CamouflageName
 from skyproof.console import progress_bar
 from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS
 from skyproof.randomness import generator_of
@@ -22,11 +22,6 @@ from skyproof.randomness import generator_of
 # Seconds on one core, for the time left alone: a million pixels before one detector, an answer.
 _ATTACK_S = 4.0
 _ANSWER_S = 0.03
-
-_PLAIN_PAINTS = 27
-_CHOICE_SCENES = 32
-"""On average: all candidates are shown 16, the best quarter of them 64 more."""
-_WITHOUT_GRADIENT = 0.4
 
 
 def attacks(its: Subject) -> Iterator[Step]:
@@ -40,10 +35,10 @@ def attacks(its: Subject) -> Iterator[Step]:
             taught = name.with_variant(TRANSFER)
             yield attack(its, taught, suite.attack(name, seed), taught=True)
             yield query(its, name, start=taught)
-    searches = [name for name in suite.chosen(seed) if name.choice == "search"]
+    searches = [name for name in suite.chosen_controls(seed) if name.choice == "search"]
     for name in searches if its.black_box is not None else []:
         yield query(its, name)
-    for name, settings in suite.chosen(seed).items():
+    for name, settings in suite.chosen_controls(seed).items():
         if its.black_box is None or name not in searches:
             yield attack(its, name, settings)
     # Of several detectors each would need query attacks of its own.
@@ -52,7 +47,7 @@ def attacks(its: Subject) -> Iterator[Step]:
             if str(name) in suite.compared:
                 taught = name.with_variant(TRANSFER)
                 yield attack(its, taught, suite.attack(name, seed), taught=True)
-                yield query(its, name.with_variant(ASKED), start=taught)
+                yield query(its, name.with_variant(QUERIED), start=taught)
 
 
 def attack(
@@ -74,16 +69,13 @@ def attack(
     def work() -> None:
         detectors = its.references if taught else its.detectors
         maker = Maker(detectors, its.world, settings, its.device, its.palette(name))
-        if name.choice in ("plain", "best"):
-            with progress_bar(f"choose {name}") as update:
-                maker.choose(name, folder, draws=best_of, progress=update)
-        else:
-            texture = None if under is None else load_camouflage(under)
-            with progress_bar(f"attack {name}") as update:
-                maker.optimise(name, folder, texture=texture, progress=update)
+        texture = None if under is None else load_camouflage(under)
+        verb = "choose" if name.choice in ("plain", "best") else "attack"
+        with progress_bar(f"{verb} {name}") as update:
+            maker.make(name, folder, draws=best_of, texture=texture, progress=update)
 
     attacked = REFERENCE_DETECTORS if taught else its.names
-    images = _images(name, settings, best_of) * len(attacked)
+    images = settings.images(name, best_of) * len(attacked)
     return Step(
         "attack" if name.choice is None else "choose",
         str(name),
@@ -93,14 +85,6 @@ def attack(
         growing=True,
         effort_s=START_S + _ATTACK_S * images * its.attack_px**2 / 1e6,
     )
-
-
-def _images(name: CamouflageName, settings: AttackSettings, best_of: int) -> float:
-    """How many images it sees, counted in those of an attack, which has a gradient, too."""
-    if name.choice in ("plain", "best"):
-        candidates = best_of if name.choice == "best" else _PLAIN_PAINTS
-        return _WITHOUT_GRADIENT * _CHOICE_SCENES * candidates
-    return settings.steps * settings.batch_size * (_WITHOUT_GRADIENT if name.choice else 1.0)
 
 
 def query(its: Subject, name: CamouflageName, start: CamouflageName | None = None) -> Step:
@@ -148,8 +132,8 @@ def query(its: Subject, name: CamouflageName, start: CamouflageName | None = Non
 
 def controls(its: Subject) -> Iterator[Step]:
     """Gives the steps that draw random controls, and random shapes on optimised textures."""
-    yield _drawn(its, its.suite.drawn())
-    for texture, names in its.suite.drawn_shapes().items():
+    yield _drawn(its, its.suite.random_controls())
+    for texture, names in its.suite.random_shapes().items():
         yield _drawn(its, names, texture)
 
 
@@ -187,6 +171,6 @@ def scored(its: Subject, steps: Sequence[Step]) -> list[Path]:
         folders.append(folder)
         if step.kind == "ask":
             name = CamouflageName.parse(step.name)
-            kept = [str(name.asked(images)) for images in its.suite.queries.keep_at]
+            kept = [str(name.after_queries(images)) for images in its.suite.queries.keep_at]
             folders += [folder / "snapshots" / copy for copy in kept]
     return folders

@@ -14,6 +14,7 @@ from typing import Annotated
 from msgspec import Meta
 
 from skyproof.attacks.settings import AttackSettings, QuerySettings
+from skyproof.camouflage.controls import chosen_controls, controls
 from skyproof.camouflage.name import CamouflageName
 from skyproof.documents import read_document
 from skyproof.files import file_digest
@@ -112,31 +113,28 @@ class Suite:
         """Returns how an attack of the suite is made."""
         return replace(self.settings, steps=self._steps(name), seed=seed)
 
-    def chosen(self, seed: int) -> dict[CamouflageName, AttackSettings]:
+    def chosen_controls(self, seed: int) -> dict[CamouflageName, AttackSettings]:
         """Returns the controls that the detectors choose, with the steps of the longest attack."""
-        steps: dict[CamouflageName, int] = {}
-        for name in self.names:
-            own = self._steps(name) + (self.steps.texture if name.order == "seq" else 0)
-            for control in name.unlearnt:
-                steps[control] = max(own, steps.get(control, 0))
+        steps = {
+            name: self._steps(name) + (self.steps.texture if name.order == "seq" else 0)
+            for name in self.names
+        }
         return {
             control: replace(self.settings, steps=count, seed=seed)
-            for control, count in steps.items()
+            for control, count in chosen_controls(steps).items()
         }
 
-    def drawn(self) -> list[str]:
+    def random_controls(self) -> list[str]:
         """Returns the names of the random controls."""
-        controls = dict.fromkeys(name.control for name in self.names)
-        return [
-            str(control.with_repeat(draw)) for control in controls for draw in range(self.draws)
-        ]
+        names = dict.fromkeys(controls(name).random for name in self.names)
+        return [str(name.with_repeat(draw)) for name in names for draw in range(self.draws)]
 
-    def drawn_shapes(self) -> dict[str, list[str]]:
+    def random_shapes(self) -> dict[str, list[str]]:
         """Returns the names of random shapes, by the optimised texture that they are put on."""
         shapes: dict[str, list[str]] = {}
         for name in self.names:
-            if name.drawn_shape is not None:
-                control = name.drawn_shape
+            control = controls(name).random_shape
+            if control is not None:
                 names = [str(control.with_repeat(draw)) for draw in range(self.draws)]
                 shapes.setdefault(texture_under(name), []).extend(names)
         return shapes

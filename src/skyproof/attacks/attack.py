@@ -1,4 +1,4 @@
-"""The optimisation: random scenes, a camouflage, an ensemble of frozen detectors (section 3.2)."""
+"""The attack: random scenes, a camouflage, an ensemble of frozen detectors (section 3.2)."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import copy
 import math
 import statistics
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -43,8 +43,8 @@ from skyproof.files import alone, write_beside
 from skyproof.loop import Loop, Part, refuse_other
 from skyproof.storage import tensors_digest
 
-_LITTLE = 0.02
-"""An attack is done when twice the steps hide no larger a share more."""
+_CONVERGED = 0.02
+"""An attack has converged if twice the steps hide a share that is larger by at most this."""
 
 _OTHER = "an attack with other settings or on other detectors"
 
@@ -62,37 +62,32 @@ def attack(
 ) -> Camouflage:
     """Optimises the camouflage so that the ensemble's losses against an empty truth fall.
 
-    The weights of the losses make every detector's term 1 on vehicles without camouflage, whatever
-    the start hides. Scenes depend on the seed and the step alone, so a stopped attack goes on
-    exactly where it was from its last checkpoint. A finished folder is not touched again. A control
-    that is to be searched for ("R-PixFc_search") takes random changes instead of gradients, on as
-    many images; it needs larger batches, which `AttackSettings.of_search` gives it.
+    The weights of the losses make every detector's term 1 on vehicles without camouflage. Scenes
+    depend on the seed and the step alone, so a stopped attack continues exactly from its last
+    checkpoint. A finished folder is not touched again. A search control ("R-PixFc_search") takes
+    random changes instead of gradients, on as many images, with `AttackSettings.of_search`.
 
-    Differences from the paper: losses are normalised per image and the weights computed, not
-    chosen; what falls is the sum of their logarithms (see `objective`), not of the losses
-    themselves; the optimiser, which the paper does not name, is Adam.
+    Differences from the paper: losses are normalised per image and the weights computed. The
+    attack minimises the sum of the losses' logarithms (see `objective`), by Adam.
 
     Args:
         camouflage: on the device to work on; optimised in place.
         detectors: on the same device; not changed, which is checked.
-        world: what the attack sees.
+        world: world of the attack.
         settings: steps, batch, learning rate, seed.
-        folder: gets `steps.jsonl`, `previews/`, and at the end the camouflage (see
-            `save_camouflage`).
-        held_out: scenes on which a learnt camouflage is judged half-way and at the end, so that
-            `camouflage.json` says whether the attack has converged; not where not given.
-        record: gives further facts to store with the camouflage; asked before the first step, when
-            nobody else can begin in the folder any more, and not where it is finished.
+        folder: gets `steps.jsonl`, `previews/`, and at the end the camouflage.
+        held_out: measures the camouflage half-way and at the end, so that `camouflage.json` says
+            whether the attack has converged.
+        record: gives further facts to store with the camouflage. It runs before the first step,
+            under the folder's lock, and not for a finished folder.
         on_step: called with each row of `steps.jsonl`.
 
-    Returns:
-        The camouflage, finished.
-
     Raises:
-        ConfigurationError: the camouflage has nothing to learn, or a detector's loss is below zero.
+        ConfigurationError: the camouflage has no parameter to optimise, or a detector's loss is
+            below zero.
         NotFiniteError: a loss or the camouflage is no longer finite; the last checkpoint stays.
-        RunFolderError: the folder holds an attack with other settings or detectors, from another
-            start or in another world, somebody else works there, or the disk is full.
+        RunFolderError: the folder holds an attack with other settings, detectors, start or world,
+            another process works there, or the disk is full.
         StoredFileError: the checkpoint is damaged.
     """
     folder = Path(folder)
@@ -108,7 +103,10 @@ def attack(
     if (folder / "camouflage.json").exists():
         return _finished(camouflage, folder, identity)
     parts: dict[str, Part] = {"camouflage": camouflage}
-    if camouflage.name.choice != "search":
+    optimiser = None
+    if camouflage.name.choice == "search":
+        held_out = None
+    else:
         optimiser = make_optimiser(camouflage, settings)
         schedule = LambdaLR(optimiser, lambda step: _half_cosine(step / settings.steps))
         parts |= {"optimiser": optimiser, "schedule": schedule}
@@ -123,23 +121,26 @@ def attack(
         on_row=on_step,
     )
     with alone(folder):
-        # Somebody else may have finished it in the meantime.
+        # Another process may have finished it in the meantime.
         if (folder / "camouflage.json").exists():
             return _finished(camouflage, folder, identity)
         more = record() if record else {}
         loop.resume()
+        run = _Run(camouflage, detectors, world, settings, loop, held_out)
         with frozen(detectors):
-            judge = None if camouflage.name.choice == "search" else held_out
-            facts = _take_steps(camouflage, detectors, world, settings, loop, judge)
+            if optimiser is None:
+                facts = run.take_steps(run.search)
+            else:
+                facts = run.take_steps(lambda: run.descend(optimiser, schedule))
         save_camouflage(folder, camouflage, {"attack": identity, **facts, **more})
         loop.forget()
     return camouflage
 
 
 def _start(camouflage: Camouflage) -> dict[str, Any]:
-    """What an attack begins with and does not learn: fixed colours, a texture under a shape."""
-    learnt = {name for name, value in camouflage.named_parameters() if value.requires_grad}
-    kept = {name: part for name, part in camouflage.state_dict().items() if name not in learnt}
+    """What an attack begins with and keeps: fixed colours, a texture under a shape."""
+    moving = {name for name, value in camouflage.named_parameters() if value.requires_grad}
+    kept = {name: part for name, part in camouflage.state_dict().items() if name not in moving}
     return {**describe_camouflage(camouflage), "kept_sha256": tensors_digest(kept)}
 
 
@@ -149,107 +150,111 @@ def _finished(camouflage: Camouflage, folder: Path, identity: Mapping[str, Any])
     return camouflage
 
 
-def _take_steps(
-    camouflage: Camouflage,
-    detectors: Sequence[TrainableDetector],
-    world: World,
-    settings: AttackSettings,
-    loop: Loop,
-    held_out: HeldOut | None,
-) -> dict[str, Any]:
-    """Takes the steps that are left, and finalises the camouflage; returns what is recorded."""
-    if "weights" not in loop.facts:
-        loop.facts["weights"] = attack_weights(detectors, world, settings)
-    weights: dict[str, float] = loop.facts["weights"]
-
-    searched = camouflage.name.choice == "search"
-    for step in loop:
-        if searched:
-            now, images = search_step(camouflage, detectors, weights, world, settings, step)
-        else:
-            now, images = _learn(camouflage, detectors, world, settings, loop)
-        loop.report({"step": step, "loss": now.loss, "losses": now.losses, "weights": weights})
-        if step % settings.preview_every == 0 or step in (1, settings.steps):
-            _write_preview(loop.folder / "previews" / f"{step:06d}.png", images.detach())
-        if step in settings.keep_at:
-            _snapshot(camouflage, f"step{step}", loop.folder, finalise=True)
-        if held_out is not None and step == settings.steps // 2:
-            half_way = copy.deepcopy(camouflage)
-            half_way.finalise()
-            loop.facts["hidden_half_way"] = held_out.judge(half_way).hidden
-
-    if settings.keep_at:
-        _snapshot(camouflage, "relaxed", loop.folder, finalise=False)
-    before = _measure(camouflage, detectors, world, settings)
-    camouflage.finalise()
-    after = _measure(camouflage, detectors, world, settings)
-    facts = {
-        "weights": weights,
-        "discretisation": {"before": _means(before), "after": _means(after)},
-    }
-    if held_out is not None and "hidden_half_way" in loop.facts:
-        facts["convergence"] = _convergence(camouflage, held_out, settings, loop)
-    return facts
+_Batch = tuple[Objective, Float[Tensor, "B 3 H W"]]
+"""The objective before a step, and its images."""
 
 
-def _convergence(
-    camouflage: Camouflage, held_out: HeldOut, settings: AttackSettings, loop: Loop
-) -> dict[str, Any]:
-    """Says what twice the steps added: the second half of them.
+@dataclass(frozen=True)
+class _Run:
+    """One attack; attributes as of `attack`."""
 
-    The learning rate is still high half-way, where less is hidden than an attack of so many steps
-    would have hidden.
-    """
-    hidden = [loop.facts["hidden_half_way"], held_out.judge(camouflage).hidden]
-    return {
-        "steps": [settings.steps // 2, settings.steps],
-        "hidden": hidden,
-        "scenes": held_out.scenes(),
-        "converged": hidden[1] - hidden[0] <= _LITTLE,
-    }
+    camouflage: Camouflage
+    detectors: Sequence[TrainableDetector]
+    world: World
+    settings: AttackSettings
+    loop: Loop
+    held_out: HeldOut | None
 
+    def take_steps(self, take: Callable[[], _Batch]) -> dict[str, Any]:
+        """Takes the remaining steps and finalises the camouflage; returns the facts to record."""
+        camouflage, settings, facts = self.camouflage, self.settings, self.loop.facts
+        if "weights" not in facts:
+            facts["weights"] = attack_weights(self.detectors, self.world, settings)
+        for step in self.loop:
+            now, images = take()
+            row = {"step": step, "loss": now.loss, "losses": now.losses}
+            self.loop.report({**row, "weights": facts["weights"]})
+            if step % settings.preview_every == 0 or step in (1, settings.steps):
+                _write_preview(self.loop.folder / "previews" / f"{step:06d}.png", images.detach())
+            if step in settings.keep_at:
+                self._snapshot(f"step{step}", finalise=True)
+            if self.held_out is not None and step == settings.steps // 2:
+                half_way = copy.deepcopy(camouflage)
+                half_way.finalise()
+                facts["hidden_half_way"] = self.held_out.measure(half_way).hidden
+        if settings.keep_at:
+            self._snapshot("relaxed", finalise=False)
+        before = _losses(camouflage, self.detectors, self.world, settings)
+        camouflage.finalise()
+        after = _losses(camouflage, self.detectors, self.world, settings)
+        recorded = {
+            "weights": facts["weights"],
+            "discretisation": {"before": _means(before), "after": _means(after)},
+        }
+        if self.held_out is not None and "hidden_half_way" in facts:
+            # Half-way the learning rate is still high, so less is hidden than by an attack of so
+            # many steps.
+            hidden = [facts["hidden_half_way"], self.held_out.measure(camouflage).hidden]
+            recorded["convergence"] = {
+                "steps": [settings.steps // 2, settings.steps],
+                "hidden": hidden,
+                "scenes": self.held_out.scenes(),
+                "converged": hidden[1] - hidden[0] <= _CONVERGED,
+            }
+        return recorded
 
-def _learn(
-    camouflage: Camouflage,
-    detectors: Sequence[TrainableDetector],
-    world: World,
-    settings: AttackSettings,
-    loop: Loop,
-) -> tuple[Objective, Float[Tensor, "B 3 H W"]]:
-    """Takes the loop's step along the gradient; returns the objective before it, and its images."""
-    step = loop.step
-    weights: dict[str, float] = loop.facts["weights"]
-    camouflage.before_step_(step, settings.steps)
-    scenes = world.step_scenes(settings.batch_size, settings.seed, step)
-    images = world.frames(camouflage, scenes).image
-    now, gradient = objective_and_gradient(detectors, weights, images)
-    if not math.isfinite(now.loss):
-        raise NotFiniteError(
-            f"The loss of {camouflage.name} is {now.loss} at step {step}; attack again in another "
-            f"folder, with a lower --settings.learning-rate than {settings.learning_rate:g}."
+    def search(self) -> _Batch:
+        """Tries a random change."""
+        weights, step = self.loop.facts["weights"], self.loop.step
+        return search_step(
+            self.camouflage, self.detectors, weights, self.world, self.settings, step
         )
-    descend(camouflage, cast(torch.optim.Adam, loop.parts["optimiser"]), images, gradient)
-    cast(LambdaLR, loop.parts["schedule"]).step()
-    return now, images
+
+    def descend(self, optimiser: torch.optim.Adam, schedule: LambdaLR) -> _Batch:
+        """Takes a step along the gradient."""
+        camouflage, settings, step = self.camouflage, self.settings, self.loop.step
+        camouflage.before_step_(step, settings.steps)
+        scenes = self.world.step_scenes(settings.batch_size, settings.seed, step)
+        images = self.world.frames(camouflage, scenes).image
+        weights = self.loop.facts["weights"]
+        now, gradient = objective_and_gradient(self.detectors, weights, images)
+        if not math.isfinite(now.loss):
+            raise NotFiniteError(
+                f"The loss of {camouflage.name} is {now.loss} at step {step}; attack again in "
+                "another folder, with a lower --settings.learning-rate than "
+                f"{settings.learning_rate:g}."
+            )
+        descend(camouflage, optimiser, images, gradient)
+        schedule.step()
+        return now, images
+
+    def _snapshot(self, variant: str, *, finalise: bool) -> None:
+        """Stores a copy under a name of its own: "T-U_step10-0" is "T-U-0" after 10 steps."""
+        copied = copy.deepcopy(self.camouflage)
+        copied.name = self.camouflage.name.with_variant(variant)
+        if finalise:
+            copied.finalise()
+        record = {"of": str(self.camouflage.name), "variant": variant}
+        save_camouflage(self.loop.folder / "snapshots" / str(copied.name), copied, record)
 
 
 def attack_weights(
     detectors: Sequence[TrainableDetector], world: World, settings: AttackSettings
 ) -> dict[str, float]:
-    """Gives the weights of the losses: every detector's term is 1 without camouflage.
+    """Gives the weights that make every detector's term 1 without camouflage.
 
     Raises:
         ConfigurationError: a detector's loss is below zero.
         NotFiniteError: a loss is not finite.
     """
-    return balanced_weights(_measure(None, detectors, world, settings))
+    return balanced_weights(_losses(None, detectors, world, settings))
 
 
 def make_optimiser(camouflage: Camouflage, settings: AttackSettings) -> torch.optim.Adam:
-    """Makes Adam for the start of an attack, with a learning rate of its own for every parameter.
+    """Makes Adam for the start of an attack, with a learning rate for every parameter.
 
     Raises:
-        ConfigurationError: no parameter is there to be learnt.
+        ConfigurationError: the camouflage has no parameter to optimise.
     """
     groups = [
         {
@@ -257,12 +262,12 @@ def make_optimiser(camouflage: Camouflage, settings: AttackSettings) -> torch.op
             "lr": settings.learning_rate * camouflage.learning_rates.get(name, 1.0),
         }
         for name, value in camouflage.named_parameters()
-        # The finished texture under a sequential attack's shape is not learnt.
+        # A sequential attack keeps the finished texture under its shape.
         if value.requires_grad
     ]
     if not groups:
         raise ConfigurationError(
-            f"{camouflage.name} has nothing to learn; attack with one that is not finished."
+            f"{camouflage.name} has nothing to optimise; attack with one that is not finished."
         )
     return torch.optim.Adam(groups)
 
@@ -281,27 +286,22 @@ def descend(
 
 
 def _half_cosine(share: float) -> float:
-    """What is left of the learning rate after a share of the steps: from 1 to a tenth."""
+    """The share of the learning rate that is left after a share of the steps: 1 to a tenth."""
     return 0.55 + 0.45 * math.cos(math.pi * share)
 
 
 @torch.no_grad()
-def _measure(
+def _losses(
     camouflage: Camouflage | None,
     detectors: Sequence[TrainableDetector],
     world: World,
     settings: AttackSettings,
 ) -> dict[str, list[float]]:
-    """Every detector's mean loss on each of the batches that no step sees, with a camouflage or
-    without any.
-    """
+    """Every detector's mean loss on each of the batches that no step sees."""
     means: dict[str, list[float]] = {detector.name: [] for detector in detectors}
     for batch in range(settings.balance_batches):
         scenes = world.step_scenes(settings.batch_size, settings.seed, -batch)
-        if camouflage is None:
-            images = world.bare(scenes, device_of(detectors[0])).image
-        else:
-            images = world.frames(camouflage, scenes).image
+        images = world.frames(camouflage, scenes, device_of(detectors[0])).image
         for name, losses in empty_truth_losses(detectors, images).items():
             means[name].append(float(losses.mean()))
             if not math.isfinite(means[name][-1]):
@@ -320,19 +320,6 @@ def _measure(
 
 def _means(losses: Mapping[str, Sequence[float]]) -> dict[str, float]:
     return {name: statistics.fmean(values) for name, values in losses.items()}
-
-
-def _snapshot(camouflage: Camouflage, variant: str, folder: Path, *, finalise: bool) -> None:
-    """Stores a copy of the camouflage as it is now, under a name of its own.
-
-    "T-U-0" after 10 steps is "T-U_step10-0".
-    """
-    copied = copy.deepcopy(camouflage)
-    copied.name = camouflage.name.with_variant(variant)
-    if finalise:
-        copied.finalise()
-    record = {"of": str(camouflage.name), "variant": variant}
-    save_camouflage(folder / "snapshots" / str(copied.name), copied, record)
 
 
 def _write_preview(path: Path, images: Float[Tensor, "B 3 H W"]) -> None:

@@ -1,8 +1,7 @@
 """A camouflage changed by a few numbers: offsets on bands of it, from nose to tail.
 
-A search that knows a detector's answers alone cannot try 800,000 texels one by one. A dozen numbers
-can be searched; laid over a camouflage that was learnt on other detectors, they keep its detail and
-change what it is as a whole.
+A query attack cannot try 800,000 texels one by one, but it can search a dozen numbers. Over an
+optimised camouflage they keep the detail and change the whole.
 """
 
 from __future__ import annotations
@@ -30,16 +29,9 @@ _SHAPE_BANDS = 8
 
 
 class CoarseChange:
-    """Offsets on bands across the cells of a texture, or across the reach of a shape.
+    """Offsets on bands across the cells of a texture (sRGB), or across the reach of a shape.
 
-    Colours are moved in sRGB. Of a sequential combination the shape is moved, as an attack on it
-    learns the shape alone.
-
-    Args:
-        start: finished; not changed.
-
-    Attributes:
-        shape: channels and bands.
+    The start is a finished camouflage and is not changed. Of a combination the shape moves.
 
     Raises:
         ConfigurationError: a camouflage of another kind, or of few colours.
@@ -54,11 +46,11 @@ class CoarseChange:
 
     @property
     def count(self) -> int:
-        """How many numbers there are."""
+        """The number of offsets."""
         return math.prod(self.shape)
 
     def __call__(self, numbers: Float[np.ndarray, " K"]) -> Camouflage:
-        """Gives the camouflage that some numbers stand for, finished; zeros give the start."""
+        """Gives the finished camouflage of some offsets; zeros give the start."""
         changed = copy.deepcopy(self._start)
         moved = _moved(changed)
         offsets = torch.as_tensor(numbers, dtype=moved.dtype).reshape(self.shape)
@@ -73,7 +65,6 @@ class CoarseChange:
 
 
 def _moved(camouflage: Camouflage) -> nn.Parameter:
-    """What of a camouflage is moved."""
     part: nn.Module = camouflage.shape if isinstance(camouflage, Combination) else camouflage
     if isinstance(part, UniversalTexture) and not part.restricted:
         return part.cells

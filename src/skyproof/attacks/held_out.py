@@ -24,14 +24,13 @@ BATCHES = 8
 BATCH_SIZE = 8
 
 
-class Judged(NamedTuple):
-    """How well a camouflage hides; of two of them the greater one hides more.
+class Hidden(NamedTuple):
+    """How well a camouflage hides vehicles; the greater of two hides more.
 
     Attributes:
-        hidden: EASR, mean over the detectors, where found means a candidate at the threshold whose
-            centre lies within 1 m. Scores go by detections, which suppress neighbours first.
-        silence: minus the mean over scenes and detectors of the best score on the target, which
-            decides where as many are hidden.
+        hidden: mean EASR of the detectors. A vehicle is found if a candidate at the threshold has
+            its centre within 1 m. Other rates use detections, after suppression.
+        silence: minus the mean best score on the target, which decides between equals.
     """
 
     hidden: float
@@ -41,15 +40,13 @@ class Judged(NamedTuple):
 class HeldOut:
     """Eight batches of an attack's scenes, one vehicle each, that no step of it sees.
 
-    They are of the attack's own ground and vehicles, so what is measured on them guides an attack;
-    it is no result.
+    They share ground and vehicles with the attack, so they guide it and are no result.
 
     Args:
-        detectors: with the thresholds that count, on the device to work on.
-        world: what the attack sees.
-        seed: of the attack; its scenes are drawn from it.
-        batch_size: scenes of a batch. That of the attack may be smaller: what small steps have
-            learnt is judged on as many scenes.
+        detectors: with their thresholds, on the device to work on.
+        world: world of the attack.
+        seed: seed of the attack.
+        batch_size: scenes per batch, which may exceed the attack's.
     """
 
     def __init__(
@@ -66,7 +63,7 @@ class HeldOut:
 
     @cached_property
     def identity(self) -> dict[str, Any]:
-        """Which detectors judge: by name the digest of their weights, if known, and threshold."""
+        """By detector the digest of its weights, if it has any, and its threshold."""
         return {
             each.name: [
                 weights_digest(each.detector) if isinstance(each.detector, nn.Module) else "",
@@ -76,59 +73,54 @@ class HeldOut:
         }
 
     def scenes(self, batches: int = BATCHES) -> int:
-        """Says how many scenes so many batches hold."""
+        """Returns the number of scenes in so many batches."""
         return batches * self._batch_size
 
     @torch.no_grad()
-    def judge(self, camouflage: Camouflage, batches: int = BATCHES) -> Judged:
-        """Says how much a camouflage hides on the first so many batches.
+    def measure(self, camouflage: Camouflage, batches: int = BATCHES) -> Hidden:
+        """Measures how much a camouflage hides on the first batches.
 
         Raises:
-            ConfigurationError: a detector finds no vehicle of all the scenes without camouflage.
+            ConfigurationError: a detector finds no vehicle in any scene without camouflage.
         """
-        shown = self._scores(camouflage, batches)
+        scores = self._scores(camouflage, batches)
         left = []
         for each in self._detectors:
-            before = int(self._bare[each.name][: self.scenes(batches)].sum())
-            after = int((shown[each.name] >= each.threshold).sum())
-            # Of a few scenes only, a detector may have found none before: nothing is hidden there.
+            before = int(self._found[each.name][: self.scenes(batches)].sum())
+            after = int((scores[each.name] >= each.threshold).sum())
+            # In few scenes a detector may find nothing before: then nothing is hidden from it.
             left.append(after / before if before else 1.0)
-        silence = -float(torch.stack(list(shown.values())).mean())
-        return Judged(1 - sum(left) / len(left), silence)
+        silence = -float(torch.stack(list(scores.values())).mean())
+        return Hidden(1 - sum(left) / len(left), silence)
 
     @cached_property
-    def _bare(self) -> dict[str, Bool[Tensor, " scenes"]]:
-        """Which vehicles each detector finds without camouflage."""
+    def _found(self) -> dict[str, Bool[Tensor, " scenes"]]:
+        """Whether each detector finds each vehicle without camouflage."""
         scores = self._scores(None, BATCHES)
         found = {each.name: scores[each.name] >= each.threshold for each in self._detectors}
-        for name, those in found.items():
-            if not those.any():
+        for name, vehicles in found.items():
+            if not vehicles.any():
                 raise ConfigurationError(
-                    f"The detector {name} finds no vehicle of the attack's scenes without "
-                    "camouflage, so that nothing can be hidden from it; train it longer, or leave "
-                    "it out."
+                    f"The detector {name} finds no vehicle in the attack's scenes without "
+                    "camouflage, so nothing can be hidden from it; train it longer, or leave it "
+                    "out."
                 )
         return found
 
     @cached_property
     def _batches(self) -> list[list[Scene]]:
-        return [
-            self._world.step_scenes(self._batch_size, self._seed, -batch)
-            for batch in range(BATCHES)
-        ]
+        steps = range(BATCHES)
+        return [self._world.step_scenes(self._batch_size, self._seed, -step) for step in steps]
 
     def _scores(
         self, camouflage: Camouflage | None, batches: int
     ) -> dict[str, Float[Tensor, " scenes"]]:
-        """Gives each detector's best score on the one vehicle of every scene."""
-        world = self._world
+        """Each detector's best score on the vehicle of every scene."""
+        device = device_of(self._detectors[0].detector)
+        gsd_m = self._world.backgrounds.gsd_m
         scores: dict[str, list[Tensor]] = {each.name: [] for each in self._detectors}
         for scenes in self._batches[:batches]:
-            if camouflage is None:
-                frames = world.bare(scenes, device_of(self._detectors[0].detector))
-            else:
-                frames = world.frames(camouflage, scenes)
+            frames = self._world.frames(camouflage, scenes, device)
             for each in self._detectors:
-                own = target_scores(each.detector, frames, world.backgrounds.gsd_m)
-                scores[each.name].append(own)
-        return {name: torch.cat(own) for name, own in scores.items()}
+                scores[each.name].append(target_scores(each.detector, frames, gsd_m))
+        return {name: torch.cat(parts) for name, parts in scores.items()}

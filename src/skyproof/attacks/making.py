@@ -1,6 +1,6 @@
-"""Camouflages by name, each made into a folder of its own: drawn, chosen, or optimised.
+"""Makes camouflages by name, each in a folder of its own: drawn, chosen, or optimised.
 
-What is finished already is kept, unless it was made of other detectors, scenes or colours.
+Finished ones are kept, unless they were made with other detectors, scenes or colours.
 """
 
 from __future__ import annotations
@@ -14,9 +14,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skyproof.attacks import held_out as held_out_scenes
+from skyproof.attacks import held_out
 from skyproof.attacks.attack import attack
-from skyproof.attacks.held_out import HeldOut
 from skyproof.attacks.search import choose
 from skyproof.attacks.settings import AttackSettings
 from skyproof.attacks.sign_test import sign_test
@@ -44,15 +43,9 @@ def draw_random_control(
     texture: Camouflage | None = None,
     settings: CamouflageSettings | None = None,
 ) -> None:
-    """Draws a random control (section 5.4).
+    """Draws a random control, such as "R-PixFc-3", into a folder of its own (section 5.4).
 
-    Args:
-        name: of the control, with its draw.
-        folder: for it alone.
-        seed: of the draw.
-        palette: fixed colours, where the name takes some.
-        texture: finished camouflage on whose texture a random shape is put.
-        settings: what the name leaves open.
+    Arguments are those of `make_camouflage`.
 
     Raises:
         RunFolderError: the folder holds a control that was drawn otherwise.
@@ -60,16 +53,17 @@ def draw_random_control(
     settings = settings or CamouflageSettings()
     drawn = {
         "seed": seed,
-        **_decisive(name, palette, settings),
+        **_constraints(name, palette, settings),
         "texture_sha256": None if texture is None else weights_digest(texture),
     }
-    if (folder / "camouflage.json").exists():
-        _refuse_other(folder, "drawn", drawn)
-        return
-    control = make.draw_control(
-        name, seed=seed, palette=palette, texture=texture, settings=settings
-    )
-    _store(folder, control, {"seed": seed, "drawn": drawn})
+
+    def draw() -> tuple[Camouflage, dict[str, Any]]:
+        control = make.draw_control(
+            name, seed=seed, palette=palette, texture=texture, settings=settings
+        )
+        return control, {"seed": seed, "drawn": drawn}
+
+    _make_once(folder, "drawn", drawn, draw)
 
 
 @dataclass(frozen=True)
@@ -77,12 +71,12 @@ class Maker:
     """Makes camouflages against detectors, in one world.
 
     Attributes:
-        detectors: attacked together, on the device to work on.
-        world: what the attack sees.
+        detectors: attacked together, on `device`.
+        world: world of the attack.
         settings: steps, batch, learning rate, seed.
         device: where camouflages are drawn and optimised.
-        palette: the colours of Fc, and those from which Lc and Pix take theirs.
-        camouflage: what names leave open.
+        palette: colours of Fc, and those from which Lc and Pix start.
+        camouflage: numbers that the names leave open.
     """
 
     detectors: Sequence[LoadedDetector[Any]]
@@ -92,89 +86,65 @@ class Maker:
     palette: Float[Tensor, "colours 3"] | None = None
     camouflage: CamouflageSettings = field(default_factory=CamouflageSettings)
 
-    def choose(
+    def make(
         self,
         name: CamouflageName,
         folder: Path,
         *,
         draws: int,
-        progress: Progress | None = None,
-    ) -> None:
-        """Chooses a plain-paint or best-of-N control on held-out scenes of the attack.
-
-        Args:
-            name: of the control.
-            folder: for it alone.
-            draws: of how many random draws the best is taken.
-            progress: called with (candidates tried, candidates in all).
-
-        Raises:
-            RunFolderError: the folder holds a control that was chosen otherwise.
-        """
-        held_out = self.held_out
-        by = {
-            "detectors": held_out.identity,
-            "scenes": asdict(self.world.scenes),
-            "world_sha256": self.world.digest,
-            "seed": self.settings.seed,
-            "draws": draws if name.choice == "best" else None,
-            **_decisive(name, self.palette, self.camouflage),
-            "texture_sha256": None,
-        }
-        if (folder / "camouflage.json").exists():
-            _refuse_other(folder, "by", by)
-            return
-        candidates = [
-            candidate.to(self.device)
-            for candidate in make.make_candidates(
-                name,
-                draws,
-                seed=self.settings.seed,
-                palette=self.palette,
-                settings=self.camouflage,
-            )
-        ]
-
-        def tried(number: int) -> None:
-            if progress:
-                progress(number, len(candidates))
-
-        chosen = choose(candidates, held_out, on_candidate=tried)
-        record = {
-            "chosen": {
-                "of": [str(candidate.name) for candidate in candidates],
-                "hidden": chosen.hidden,
-                "scenes": chosen.scenes,
-                "finalists": {
-                    str(candidates[number].name): hidden
-                    for number, hidden in chosen.finalists.items()
-                },
-                "final_scenes": chosen.final_scenes,
-                "seed": self.settings.seed,
-            },
-            "by": by,
-        }
-        chosen.camouflage.name = name
-        _store(folder, chosen.camouflage, record)
-
-    def optimise(
-        self,
-        name: CamouflageName,
-        folder: Path,
-        *,
         texture: Camouflage | None = None,
         progress: Progress | None = None,
     ) -> None:
-        """Attacks the detectors after a sign test of the gradient, or searches without one.
-
-        A stopped attack goes on where it was.
+        """Chooses a plain-paint or best-of-N control, and optimises every other camouflage.
 
         Args:
-            name: of the camouflage, or of a search control.
-            folder: for it alone.
-            texture: finished texture that a sequential combination puts its shape on.
-            progress: called with (steps done, steps in all).
+            name: camouflage or control.
+            folder: folder for it alone.
+            draws: number of random draws of a best-of-N control.
+            texture: finished texture under the shape of a sequential combination.
+            progress: called with (candidates or steps done, in all).
+
+        Raises:
+            RunFolderError: the folder holds a camouflage that was made otherwise.
         """
+        if name.choice in ("plain", "best"):
+            self._choose(name, folder, draws, progress)
+        else:
+            self._optimise(name, folder, texture, progress)
+
+    def _choose(
+        self, name: CamouflageName, folder: Path, draws: int, progress: Progress | None
+    ) -> None:
+        seed, scenes = self.settings.seed, self._held_out
+        by = {
+            "detectors": scenes.identity,
+            "scenes": asdict(self.world.scenes),
+            "world_sha256": self.world.digest,
+            "seed": seed,
+            "draws": draws if name.choice == "best" else None,
+            **_constraints(name, self.palette, self.camouflage),
+            "texture_sha256": None,
+        }
+
+        def best() -> tuple[Camouflage, dict[str, Any]]:
+            candidates = make.make_candidates(
+                name, draws, seed=seed, palette=self.palette, settings=self.camouflage
+            )
+            moved = [candidate.to(self.device) for candidate in candidates]
+            chosen, record = choose(moved, scenes, progress=progress)
+            chosen.name = name
+            return chosen, {"chosen": {**record, "seed": seed}, "by": by}
+
+        _make_once(folder, "by", by, best)
+
+    def _optimise(
+        self,
+        name: CamouflageName,
+        folder: Path,
+        texture: Camouflage | None,
+        progress: Progress | None,
+    ) -> None:
+        """Attacks the detectors after a sign test of the gradient, or searches without one."""
         camouflage = make.make_camouflage(
             name,
             generator=generator_of(self.settings.seed, "texture", str(name)),
@@ -200,38 +170,39 @@ class Maker:
             self.world,
             settings,
             folder,
-            held_out=self.held_out,
+            held_out=self._held_out,
             record=signs,
             on_step=show,
         )
 
     @property
-    def held_out(self) -> HeldOut:
-        """Scenes of the same world that no step of an attack sees."""
-        batch_size = max(held_out_scenes.BATCH_SIZE, self.settings.batch_size)
-        return HeldOut(self.detectors, self.world, self.settings.seed, batch_size)
+    def _held_out(self) -> held_out.HeldOut:
+        batch_size = max(held_out.BATCH_SIZE, self.settings.batch_size)
+        return held_out.HeldOut(self.detectors, self.world, self.settings.seed, batch_size)
 
 
-def _decisive(
+def _constraints(
     name: CamouflageName, palette: Tensor | None, settings: CamouflageSettings
 ) -> dict[str, Any]:
-    """Gives what decides a control beside its name and seed, as JSON values."""
+    """What decides a control beside its name and seed, as JSON values."""
     return {
         "camouflage": asdict(settings),
         "palette": palette.tolist() if palette is not None and name.takes_palette else None,
     }
 
 
-def _refuse_other(folder: Path, key: str, wanted: dict[str, Any]) -> None:
-    """Keeps a control of other detectors, scenes or colours from passing for this one."""
-    stored = read_record(folder).get(key)
-    # Controls of before do not say it.
-    if stored is not None:
-        refuse_other(folder, stored, wanted, "a control that was made otherwise")
-
-
-def _store(folder: Path, camouflage: Camouflage, record: dict[str, Any]) -> None:
-    """Writes a camouflage's folder, whole or not at all."""
+def _make_once(
+    folder: Path,
+    key: str,
+    made_from: dict[str, Any],
+    work: Callable[[], tuple[Camouflage, dict[str, Any]]],
+) -> None:
+    """Makes and stores a control, or refuses a stored one that was made from something else."""
+    if (folder / "camouflage.json").exists():
+        stored = read_record(folder).get(key)
+        refuse_other(folder, stored, made_from, "a control that was made otherwise")
+        return
+    camouflage, record = work()
     drop_empty_folder(folder)
     with finished_folder(folder) as partial:
         save_camouflage(partial, camouflage, record)

@@ -1,4 +1,4 @@
-"""What an attack minimises, the detectors' own losses against an empty truth, and its aim."""
+"""The objective of an attack: the detectors' own losses against an empty truth."""
 
 from __future__ import annotations
 
@@ -17,21 +17,15 @@ from skyproof.detectors.weights import weights_digest
 from skyproof.render.frames import Frames
 
 _FOOLED = 0.03
-"""A vehicle with so small a share of the loss without camouflage is hidden, more or less; an attack
-leaves it alone."""
-
+"""At this share of the loss without camouflage a vehicle is nearly hidden and left alone."""
 
 OBJECTIVE = f"sum over detectors, mean over images: log(weight * loss + {_FOOLED:g})"
-"""What is minimised, as it is recorded with a camouflage."""
+"""The objective as it is recorded with a camouflage."""
 
 
 class Objective(NamedTuple):
-    """What an attack minimises, on some images.
-
-    Attributes:
-        loss: the objective; below zero where detectors are fooled.
-        losses: every detector's own mean loss against an empty truth, without its weight, by name.
-    """
+    """The value of the objective (below zero if detectors are fooled), and each detector's mean
+    loss without its weight, by name."""
 
     loss: float
     losses: dict[str, float]
@@ -40,10 +34,7 @@ class Objective(NamedTuple):
 def empty_truth_losses(
     detectors: Sequence[TrainableDetector], images: Float[Tensor, "B 3 H W"]
 ) -> dict[str, Float[Tensor, " B"]]:
-    """Gives each detector's training loss per image if there were no vehicle (section 3.2).
-
-    It is small when nothing is detected.
-    """
+    """Each detector's training loss per image if there were no vehicle (section 3.2)."""
     nothing = [images.new_zeros(0, 4)] * len(images)
     return {detector.name: detector.loss(images, nothing) for detector in detectors}
 
@@ -57,14 +48,10 @@ def objective(
     """Says how far detectors are from seeing nothing: the sum of their losses' logarithms.
 
     Objective = sum over detectors of the mean over images of log(weight * loss + 0.03), where the
-    loss is the detector's own against an empty truth. A logarithm falls as much from 0.2 to 0.1 as
-    from 2 to 1, so the objective asks in how many images a detector is nearly fooled; the sum of
-    the losses themselves, which the paper takes, is ruled by the images in which it is surest.
-
-    Args:
-        detectors: frozen.
-        weights: of each detector's loss, by name; they make it 1 without camouflage.
-        images: sRGB in [0, 1].
+    loss is the detector's own against an empty truth, and its weight makes it 1 without camouflage.
+    A logarithm falls as much from 0.2 to 0.1 as from 2 to 1, so the objective asks in how many
+    images a detector is nearly fooled. The paper's sum of losses is ruled by the images in which a
+    detector is surest. Detectors are frozen, images are sRGB in [0, 1].
     """
     by_detector = empty_truth_losses(detectors, images)
     terms = [float(_term(weights[name], each)) for name, each in by_detector.items()]
@@ -76,14 +63,9 @@ def objective_and_gradient(
     weights: Mapping[str, float],
     images: Float[Tensor, "B 3 H W"],
 ) -> tuple[Objective, Float[Tensor, "B 3 H W"]]:
-    """Gives the objective, and says how it changes with the images.
+    """Gives the objective and its gradient with respect to the images, arguments as `objective`.
 
-    One detector is asked at a time, so that only one network's activations are held.
-
-    Args:
-        detectors: frozen.
-        weights: of each detector's loss, by name.
-        images: sRGB in [0, 1]; what they were rendered from is left alone.
+    Detectors run one after the other, so that only one network's activations are held.
     """
     leaf = images.detach().contiguous(memory_format=torch.channels_last).requires_grad_()
     total = 0.0
@@ -105,8 +87,8 @@ def _term(weight: float, losses: Float[Tensor, " B"]) -> Float[Tensor, ""]:
 def balanced_weights(losses: Mapping[str, Sequence[float]]) -> dict[str, float]:
     """Gives the weights that bring every detector's mean of these losses to 1.
 
-    Differences from the paper: its weights were chosen by hand for losses that partly sum over
-    anchors (table S2); ours are normalised per image, so that those would not balance them.
+    Differences from the paper: its weights suit losses that partly sum over anchors (table S2),
+    and ours are normalised per image.
     """
     return {name: 1.0 / max(sum(values) / len(values), 1e-8) for name, values in losses.items()}
 
@@ -117,8 +99,8 @@ def target_scores(
 ) -> Float[Tensor, " B"]:
     """Gives the highest score of a candidate near the image's one vehicle; 0 without one.
 
-    Near means that the candidate's centre lies within 1 m of the vehicle's. Of a detector that only
-    answers, its detections are the candidates.
+    The centre of a near candidate lies within 1 m of the vehicle's. The candidates of a black-box
+    detector are its detections.
     """
     candidates = _candidates(detector, frames.image.detach())
     centres = (frames.boxes[:, :2] + frames.boxes[:, 2:]) / 2
@@ -148,11 +130,8 @@ def _candidates(
 def frozen(detectors: Sequence[TrainableDetector]) -> Iterator[None]:
     """Holds detectors in evaluation mode and without weight gradients.
 
-    Checks at the end that nothing in them changed.
-
     Raises:
-        RuntimeError: a weight or buffer differs after the block: the attack would not be one on
-            the stored detector.
+        RuntimeError: a weight or buffer changed, so the attack is not on the stored detector.
     """
     before = [weights_digest(detector) for detector in detectors]
     for detector in detectors:

@@ -1,9 +1,9 @@
-"""Attacks that know a detector's answers and nothing else: no loss, no gradient.
+"""Query attacks: they use a detector's detections alone, without loss or gradient.
 
-They begin at a camouflage that was learnt on other detectors. An evolution strategy (CMA-ES;
-Hansen, "The CMA evolution strategy: a tutorial", 2016) moves free colours and shapes; blocks of few
-colours take random changes, of which those are kept that help. A random search from a random draw
-is the control beside either.
+They start at a camouflage that was optimised on other detectors. An evolution strategy (CMA-ES;
+Hansen, "The CMA evolution strategy: a tutorial", 2016) moves free colours and shapes. Blocks of few
+colours take random changes, and keep those that help. The control of either is a random search from
+a random draw.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from skyproof.ranges import Fraction
 
 _OTHER = "a search with other settings or from another start"
 _SPREAD = 0.2
-"""Standard deviation of the first candidates, of values that go from 0 to 1."""
+"""Standard deviation of the first candidates, whose values go from 0 to 1."""
 
 
 class _Evolution:
@@ -54,24 +54,24 @@ class _Evolution:
             seed=seed % 2**32,
         )
         self.candidates = self._strategy.population_size
-        self._asked: list[np.ndarray] = []
+        self._proposed: list[np.ndarray] = []
 
-    def ask(self) -> list[Camouflage]:
-        """Gives as many candidates as `candidates` says, to be tried."""
-        self._asked = [self._strategy.ask() for _ in range(self.candidates)]
-        return [self._change(numbers) for numbers in self._asked]
+    def propose(self) -> list[Camouflage]:
+        """Gives as many candidates as `candidates` says."""
+        self._proposed = [self._strategy.ask() for _ in range(self.candidates)]
+        return [self._change(numbers) for numbers in self._proposed]
 
-    def tell(self, scores: Sequence[float]) -> None:
+    def learn(self, scores: Sequence[float]) -> None:
         """Takes the candidates' mean scores on the target; low is good."""
-        self._strategy.tell(list(zip(self._asked, scores, strict=True)))
+        self._strategy.tell(list(zip(self._proposed, scores, strict=True)))
 
     def best(self) -> Camouflage:
-        """Gives the middle of the distribution, which many scenes moved; a lucky draw is noise."""
+        """Gives the mean of the distribution, which many scenes moved; the best draw is luck."""
         return self._change(self._strategy.mean)
 
 
 class _RandomChanges:
-    """Keeps a random change where it lowers the score, as `search_step` does by losses."""
+    """Keeps a random change if it lowers the score, as `search_step` does by losses."""
 
     candidates = 2
 
@@ -81,87 +81,86 @@ class _RandomChanges:
         self._seed = seed
         self._step = 0
 
-    def ask(self) -> list[Camouflage]:
+    def propose(self) -> list[Camouflage]:
         """Gives the camouflage and one random change of it."""
         self._step += 1
         self._other = copy.deepcopy(self._camouflage)
         self._other.vary_(generator_of(self._seed, "search", self._step))
         return [self._camouflage, self._other]
 
-    def tell(self, scores: Sequence[float]) -> None:
+    def learn(self, scores: Sequence[float]) -> None:
         """Takes the mean scores of both."""
         if scores[1] < scores[0]:
             self._camouflage = self._other
 
     def best(self) -> Camouflage:
-        """Gives what was kept."""
+        """Gives a copy of the camouflage with all changes that were kept."""
         return copy.deepcopy(self._camouflage)
-
-
-_Search = _Evolution | _RandomChanges
 
 
 def query_attack(
     start: Camouflage,
-    judge: LoadedDetector[Detector],
+    detector: LoadedDetector[Detector],
     world: World,
     settings: QuerySettings,
     folder: str | Path,
     *,
     on_step: Callable[[int, int], None] | None = None,
 ) -> Camouflage:
-    """Seeks a camouflage by a detector's answers alone, within a budget of images.
+    """Optimises a camouflage by a detector's detections alone, within a budget of images.
 
-    What is lowered is the mean over vehicles of the best score that the detector gives within 1 m
-    of the vehicle (0 where it gives none). Candidates of one generation are shown in the same
-    scenes, those of the next in others. A stopped search goes on from its last generation: what the
-    detector answered is stored, and only the answers of the generation or of the last judgement
-    that it stopped in are asked for again, beyond the budget. At the end start and result are shown
-    the same scenes that no candidate was tried on, and the better one stays; so a search is never a
-    step back. These images count, too.
+    It lowers the mean over vehicles of the best score within 1 m of the vehicle (0 without a
+    detection). The candidates of one generation share their scenes. A stopped attack continues
+    from its last generation: detections are stored, and only those of the generation or the last
+    comparison in which it stopped are queried again, beyond the budget. At the end start and result
+    are compared on scenes of no candidate, and the better one stays. These images count, too.
 
     Args:
-        start: finished: what was learnt on other detectors; of a control that is to be searched for
-            ("R-PixFc_search") a random draw.
-        judge: a detector with the threshold that counts.
-        world: what an attack sees; its ground and vehicles are no test's.
+        start: finished camouflage that was optimised on other detectors, or a random draw for a
+            search control ("R-PixFc_search").
+        detector: with its threshold.
+        world: world of the attack.
         settings: budget, batch and seed.
-        folder: gets `steps.jsonl`, and at the end the camouflage (see `save_camouflage`), its
-            record saying how many images were asked.
+        folder: gets `steps.jsonl`, and at the end the camouflage with the number of images in its
+            record.
         on_step: called with (images shown, images in all).
 
     Returns:
-        The camouflage, finished; under the name of `start`.
+        The finished camouflage, under the name of `start`.
 
     Raises:
         DetectorAnswerError: the detector stopped answering; the last checkpoint stays.
-        ConfigurationError: it finds no vehicle of the scenes without camouflage, or the budget is
+        ConfigurationError: it finds no vehicle in the scenes without camouflage, or the budget is
             too small for one generation.
-        RunFolderError: the folder holds another search, or somebody else works there.
+        RunFolderError: the folder holds another search, or another process works there.
         StoredFileError: the checkpoint is damaged.
     """
     folder = Path(folder)
     identity = {
         "camouflage": str(start.name),
         "start_sha256": weights_digest(start),
-        "detector": judge.name,
-        "threshold": judge.threshold,
+        "detector": detector.name,
+        "threshold": detector.threshold,
         "settings": asdict(settings),
         "scenes": asdict(world.scenes),
     }
     if (folder / "camouflage.json").exists():
         return _finished(folder, identity)
-    search = _search(start, settings)
-    held_out = HeldOut([judge], world, settings.seed, settings.batch_size)
-    # Without camouflage, in the start and in the result; a control has no start to fall back on.
-    judged = 0 if start.name.choice else 3 * held_out.scenes()
+    # Few colours leave nothing in between for an evolution to move through (docs/attacks.md).
+    few_colours = isinstance(start, UniversalTexture) and start.restricted
+    changes = few_colours or start.name.choice == "search"
+    search = (_RandomChanges if changes else _Evolution)(start, settings.seed)
+    held_out = HeldOut([detector], world, settings.seed, settings.batch_size)
+    # Without camouflage, with the start and with the result; a control has no start to return to.
+    compared = 0 if start.name.choice else 3 * held_out.scenes()
     each = search.candidates * settings.batch_size
-    generations = (settings.images - judged) // each
+    generations = (settings.images - compared) // each
     if generations < 1:
         raise ConfigurationError(
-            f"{start.name} expects at least {judged + each} images to be asked, got "
+            f"{start.name} expects at least {compared + each} images to be queried, got "
             f"{settings.images}; allow more, or smaller batches."
         )
+    total = generations * each + compared
     loop = Loop(
         folder,
         identity,
@@ -176,40 +175,47 @@ def query_attack(
             return _finished(folder, identity)
         loop.resume()
         for row in loop.rows:
-            # A search is decided by its seed and by what it was told.
-            search.ask()
-            search.tell(_told(row, search.candidates, folder))
+            # Seed and scores decide a search, so it is repeated rather than stored.
+            search.propose()
+            search.learn(_stored_scores(row, search.candidates, folder))
         for step in loop:
-            scores = _try(search.ask(), judge, world, settings, step)
-            search.tell(scores)
+            scores = _try(search.propose(), detector, world, settings, step)
+            search.learn(scores)
             images = step * each
             loop.report({"step": step, "images": images, "loss": min(scores), "scores": scores})
-            _keep(search, start, settings, folder, images, each)
+            for number in settings.keep_at:
+                if images - each < number <= images:
+                    kept = search.best()
+                    kept.name = start.name.after_queries(number)
+                    record = {"of": str(start.name), "images": images}
+                    save_camouflage(folder / "snapshots" / str(kept.name), kept, record)
             if on_step is not None:
-                on_step(images, generations * each + judged)
+                on_step(images, total)
         found = search.best()
         found.name = start.name
-        asked: dict[str, Any] = {**identity, "images": generations * each + judged}
-        if not start.name.choice:
-            found, hidden = _better(start, found, held_out)
-            asked["judged"] = hidden
-        save_camouflage(folder, found, {"queries": asked})
+        queries: dict[str, Any] = {**identity, "images": total}
+        if compared:
+            before = held_out.measure(start)
+            after = held_out.measure(found)
+            queries["judged"] = {
+                "scenes": held_out.scenes(),
+                "start_hides": before.hidden,
+                "hides": after.hidden,
+            }
+            found = found if after > before else start
+        save_camouflage(folder, found, {"queries": queries})
         loop.forget()
     return found
 
 
 def _finished(folder: Path, identity: Mapping[str, Any]) -> Camouflage:
-    asked = read_record(folder).get("queries", {})
-    refuse_other(folder, {key: asked.get(key) for key in identity}, identity, _OTHER)
+    stored = read_record(folder).get("queries", {})
+    refuse_other(folder, {key: stored.get(key) for key in identity}, identity, _OTHER)
     return load_camouflage(folder)
 
 
-def _told(row: Mapping[str, Any], count: int, folder: Path) -> list[float]:
-    """What a row of `steps.jsonl` says that the detector answered.
-
-    Raises:
-        StoredFileError: it says something else.
-    """
+def _stored_scores(row: Mapping[str, Any], count: int, folder: Path) -> list[float]:
+    """The scores in a row of `steps.jsonl`, checked."""
     place = f"{folder / 'steps.jsonl'}, scores"
     remedy = f"remove {folder} and search again"
     scores: list[float] = check_document(row.get("scores"), list[Fraction], place, remedy)
@@ -218,53 +224,16 @@ def _told(row: Mapping[str, Any], count: int, folder: Path) -> list[float]:
     return scores
 
 
-def _search(start: Camouflage, settings: QuerySettings) -> _Search:
-    # Few colours leave nothing in between for an evolution to move through (docs/attacks.md).
-    few_colours = isinstance(start, UniversalTexture) and start.restricted
-    changes = few_colours or start.name.choice == "search"
-    return (_RandomChanges if changes else _Evolution)(start, settings.seed)
-
-
 @torch.no_grad()
 def _try(
     candidates: Sequence[Camouflage],
-    judge: LoadedDetector[Detector],
+    detector: LoadedDetector[Detector],
     world: World,
     settings: QuerySettings,
     step: int,
 ) -> list[float]:
     """Shows the detector every candidate in the same scenes; returns mean scores on the target."""
     scenes = world.step_scenes(settings.batch_size, settings.seed, step)
-    means = []
-    for candidate in candidates:
-        frames = world.frames(candidate, scenes)
-        scores = target_scores(judge.detector, frames, world.backgrounds.gsd_m)
-        means.append(float(scores.mean()))
-    return means
-
-
-def _better(
-    start: Camouflage, found: Camouflage, held_out: HeldOut
-) -> tuple[Camouflage, dict[str, Any]]:
-    """Chooses between what was found and what it started from, on scenes of neither."""
-    before = held_out.judge(start)
-    after = held_out.judge(found)
-    hidden = {"scenes": held_out.scenes(), "start_hides": before.hidden, "hides": after.hidden}
-    return (found if after > before else start), hidden
-
-
-def _keep(
-    search: _Search,
-    start: Camouflage,
-    settings: QuerySettings,
-    folder: Path,
-    images: int,
-    each: int,
-) -> None:
-    """Stores a copy of what was found by now, where this step passed a number of `keep_at`."""
-    for number in settings.keep_at:
-        if images - each < number <= images:
-            kept = search.best()
-            kept.name = start.name.asked(number)
-            record = {"of": str(start.name), "images": images}
-            save_camouflage(folder / "snapshots" / str(kept.name), kept, record)
+    gsd_m = world.backgrounds.gsd_m
+    frames = (world.frames(candidate, scenes) for candidate in candidates)
+    return [float(target_scores(detector.detector, each, gsd_m).mean()) for each in frames]

@@ -7,10 +7,15 @@ from typing import Annotated
 
 from msgspec import Meta
 
+from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import Count, Seed, check_ranges
 
 _SEARCH_BATCH_SIZE = 8
+_PLAIN_PAINTS = 27
+_CHOICE_SCENES = 32
+"""On average: all candidates are tried on 16, the best quarter of them on 64 more."""
+_WITHOUT_GRADIENT = 0.4
 
 
 @dataclass(frozen=True)
@@ -19,16 +24,16 @@ class AttackSettings:
 
     Attributes:
         steps: optimiser steps.
-        batch_size: images, and so vehicles, a step; of as many images, few in many steps teach more
+        batch_size: images (vehicles) per step; many small steps are better than few large ones
             (docs/attacks.md).
-        learning_rate: Adam's at the start; half a cosine takes it to a tenth.
-        balance_batches: batches, seen by no step, whose mean losses set the detectors' weights, and
-            measure what the last rounding costs.
-        keep_at: steps after which a finished copy is kept in `snapshots/`, to see an attack grow
-            stronger; then also one from before the last rounding, "relaxed".
+        learning_rate: learning rate of Adam at the start; half a cosine takes it to a tenth.
+        balance_batches: batches of no step, whose mean losses set the detectors' weights and
+            measure the cost of the last rounding.
+        keep_at: steps after which a finished copy is kept in `snapshots/`, with a last one from
+            before the final rounding, "relaxed".
         preview_every: steps between pictures of the batch.
         checkpoint_every: steps between checkpoints.
-        seed: decides all scenes and random draws.
+        seed: seed of all scenes and random draws.
     """
 
     steps: Count = 400
@@ -48,11 +53,25 @@ class AttackSettings:
                 f"{max(self.keep_at)}."
             )
 
-    def of_search(self) -> AttackSettings:
-        """Returns those of a random search: as many images, in steps of more.
+    def images(self, name: CamouflageName, best_of: int) -> float:
+        """Returns the number of images that making a camouflage takes, per detector.
 
-        A step along the gradient of few images is right on average; a change that happens to help
-        on few images is kept for good.
+        An image without gradient counts as 0.4.
+
+        Args:
+            name: attack, or control that is chosen.
+            best_of: number of random draws of a best-of-N control.
+        """
+        if name.choice in ("plain", "best"):
+            candidates = best_of if name.choice == "best" else _PLAIN_PAINTS
+            return _WITHOUT_GRADIENT * _CHOICE_SCENES * candidates
+        return self.steps * self.batch_size * (_WITHOUT_GRADIENT if name.choice else 1.0)
+
+    def of_search(self) -> AttackSettings:
+        """Returns the settings of a random search: as many images, in steps of more.
+
+        A step along the gradient of few images is right on average, but a search keeps for good
+        what happens to help on few images.
         """
         images = self.steps * self.batch_size
         batch_size = min(max(self.batch_size, _SEARCH_BATCH_SIZE), images)
@@ -61,15 +80,13 @@ class AttackSettings:
 
 @dataclass(frozen=True)
 class QuerySettings:
-    """How a camouflage is sought by a detector's answers alone.
+    """How a query attack optimises a camouflage.
 
     Attributes:
-        images: how many the detector is shown at most.
-        batch_size: images, and so vehicles, on which each candidate is tried; those of one
-            generation are tried on the same.
-        keep_at: numbers of images after which a finished copy is kept in `snapshots/`, to see what
-            so many answers are worth.
-        seed: decides scenes and candidates.
+        images: budget, the largest number of images shown to the detector.
+        batch_size: images (vehicles) per candidate; candidates of one generation share them.
+        keep_at: numbers of images after which a finished copy is kept in `snapshots/`.
+        seed: seed of scenes and candidates.
     """
 
     images: Annotated[int, Meta(ge=64, le=10**9)] = 6000

@@ -1,4 +1,4 @@
-"""Whether an attack's gradient points the right way: a step must lower the target's scores."""
+"""The sign test of an attack's gradient: a step must lower the target's scores."""
 
 from __future__ import annotations
 
@@ -29,22 +29,16 @@ def sign_test(
 ) -> dict[str, dict[str, Any]]:
     """Takes one step of the attack's own optimiser, and compares the scores on the step's vehicles.
 
-    Every batch (those that no step of the attack sees) starts from the camouflage as given, which
-    is not changed. The losses are balanced as in an attack, on vehicles without camouflage.
-
-    Args:
-        camouflage: as at the start of its attack.
-        detectors: on the camouflage's device; not changed, which is checked.
-        world: what the attack sees.
-        settings: batch size, learning rate, seed and number of batches (`balance_batches`).
+    Every one of the `balance_batches` starts from the given camouflage, which is not changed, on
+    scenes that no step of the attack sees. Arguments are those of `attack`.
 
     Returns:
-        Per detector: "scenes" with a vehicle, in how many of them the score "fell", the one-sided
-        exact "p" of so many if it were chance (binomial; scenes in which nothing changed count as
-        not fallen), and the "mean_change".
+        Per detector the number of "scenes", the number in which the score "fell", the one-sided
+        exact "p" of so many by chance (binomial; unchanged scores have not fallen), and the
+        "mean_change".
 
     Raises:
-        ConfigurationError: the camouflage has nothing to learn.
+        ConfigurationError: the camouflage has no parameter to optimise.
         NotFiniteError: a score is not finite.
     """
     before: dict[str, list[Tensor]] = {detector.name: [] for detector in detectors}
@@ -66,7 +60,7 @@ def sign_test(
                 f"The scores of the detector {name} are not finite on the attack's scenes; train "
                 "or import it again, or attack with a lower --settings.learning-rate."
             )
-    return {name: _judged(torch.cat(before[name]), torch.cat(after[name])) for name in before}
+    return {name: _compared(torch.cat(before[name]), torch.cat(after[name])) for name in before}
 
 
 def _before_and_after(
@@ -77,7 +71,7 @@ def _before_and_after(
     settings: AttackSettings,
     scenes: list[Scene],
 ) -> tuple[Frames, Frames]:
-    """The scenes with the camouflage as given, and after the first step of an attack on them."""
+    """The scenes with the given camouflage, and after the first step of an attack on them."""
     moved = copy.deepcopy(camouflage)
     moved.before_step_(1, settings.steps)
     frames = world.frames(moved, scenes)
@@ -87,7 +81,7 @@ def _before_and_after(
         return frames, world.frames(moved, scenes)
 
 
-def _judged(before: Tensor, after: Tensor) -> dict[str, Any]:
+def _compared(before: Tensor, after: Tensor) -> dict[str, Any]:
     fell = int((after < before).sum())
     return {
         "scenes": len(before),

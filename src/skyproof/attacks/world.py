@@ -1,4 +1,4 @@
-"""What an attack sees: ground, vehicles, light and camera, drawn anew at every step."""
+"""The world of an attack: ground, vehicles, light and camera, drawn anew at every step."""
 
 from __future__ import annotations
 
@@ -23,18 +23,17 @@ from skyproof.scenes.sampling import sample_scenes
 from skyproof.scenes.scene import Scene
 from skyproof.scenes.settings import SceneSettings
 from skyproof.vehicles.fleet import Fleet
-from skyproof.vehicles.vehicle import VehicleBatch
 
 
 @dataclass(frozen=True)
 class World:
-    """What the attack sees, drawn anew at every step.
+    """The scenes of an attack, drawn anew at every step.
 
     Attributes:
         renderer: differentiable, on `backgrounds`.
-        backgrounds: their split "attack" is used.
+        backgrounds: attacks use their split "attack".
         fleet: vehicles to camouflage.
-        scenes: how scenes are drawn; exactly one vehicle an image (section 3.2).
+        scenes: distribution of the scenes, with exactly one vehicle per image (section 3.2).
     """
 
     renderer: Renderer
@@ -64,15 +63,11 @@ class World:
     ) -> World:
         """Opens a background set and a fleet folder under the differentiable renderer.
 
-        Args:
-            backgrounds: background set folder; its resolution is the scenes'.
-            fleet: fleet folder.
-            size_px: image side.
-            conditions: weather and light that scenes are drawn from, each equally likely.
-            places: where vehicles stand, as of `SceneSettings`.
+        The background set gives the resolution. `size_px` is the image side, `conditions` and
+        `places` are those of `SceneSettings`.
 
         Raises:
-            ConfigurationError: scenes cannot be drawn so.
+            ConfigurationError: the settings of the scenes contradict each other.
             StoredFileError: a folder is missing or damaged.
         """
         scenes = SceneSettings(
@@ -83,12 +78,9 @@ class World:
 
     @cached_property
     def digest(self) -> str:
-        """The SHA-256 of the ground's tiles, as their index has them, and of the vehicles' sizes.
-
-        It tells this world from another of the same settings.
-        """
-        told = [self.backgrounds.gsd_m, self.backgrounds.tiles("attack"), self.fleet.sizes_m]
-        return hashlib.sha256(msgspec.json.encode(told)).hexdigest()
+        """The SHA-256 of the index of the ground's tiles and of the vehicles' sizes."""
+        facts = [self.backgrounds.gsd_m, self.backgrounds.tiles("attack"), self.fleet.sizes_m]
+        return hashlib.sha256(msgspec.json.encode(facts)).hexdigest()
 
     def draw(self, count: int, *, generator: torch.Generator) -> list[Scene]:
         """Draws random scenes on the attack backgrounds."""
@@ -97,22 +89,19 @@ class World:
         )
 
     def step_scenes(self, count: int, seed: int, step: int) -> list[Scene]:
-        """Draws the scenes of one step.
-
-        Those of steps 0, -1, -2 ... are seen by no step of an attack, and serve to measure.
-        """
+        """Draws the scenes of one step; steps 0, -1, -2 ... serve to measure."""
         return self.draw(
             count, generator=torch.Generator().manual_seed((seed * 1_000_003 + step) % 2**63)
         )
 
-    def camouflaged(self, camouflage: Camouflage, scenes: list[Scene]) -> VehicleBatch:
-        """Puts the scenes' vehicles into the camouflage, on its device."""
-        return camouflage(placed_vehicles(self.fleet, scenes).to(device_of(camouflage)))
-
-    def bare(self, scenes: list[Scene], device: torch.device) -> Frames:
-        """Renders the scenes, their vehicles as they are, on a device."""
-        return self.renderer(scenes, placed_vehicles(self.fleet, scenes).to(device))
-
-    def frames(self, camouflage: Camouflage, scenes: list[Scene]) -> Frames:
-        """Renders the scenes, their vehicles in the camouflage, on its device."""
-        return self.renderer(scenes, self.camouflaged(camouflage, scenes))
+    def frames(
+        self,
+        camouflage: Camouflage | None,
+        scenes: list[Scene],
+        device: torch.device | None = None,
+    ) -> Frames:
+        """Renders the scenes, on the camouflage's device, or without camouflage on `device`."""
+        vehicles = placed_vehicles(self.fleet, scenes)
+        if camouflage is None:
+            return self.renderer(scenes, vehicles.to(device or "cpu"))
+        return self.renderer(scenes, camouflage(vehicles.to(device_of(camouflage))))

@@ -1,4 +1,4 @@
-"""A camouflage's name as a value: parsed once, from then on asked for its parts."""
+"""The name of a camouflage, parsed into its parts."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from skyproof.ranges import is_name
 
 Choice = Literal["plain", "best", "search"]
 CHOICES: tuple[Choice, ...] = get_args(Choice)
-"""How a control is chosen without learning: the best plain one (of 27 paints, a shape being out as
-far as it may), the best of many random draws, or what a random search finds."""
+"""How a control is chosen without optimisation: the best plain paint (of 27, with every vertex out
+in a shape), the best of many random draws, or the result of a random search."""
 
 IN_WEATHER = "weather"
-"""The variant of what was learnt in all weathers, and not on clear days alone: "T-U_weather"."""
+"""The variant that was optimised in all weathers instead of clear days alone: "T-U_weather"."""
 
 TRANSFER = "transfer"
-"""The variant that was learnt on other detectors than the one it is tried on: "T-U_transfer"."""
+"""The variant that was optimised on other detectors than the assessed one: "T-U_transfer"."""
 
-ASKED = "asked"
-"""The variant that was sought by answers on a detector that has gradients: "T-U_asked"."""
+QUERIED = "asked"
+"""The variant of a query attack on a detector that has gradients: "T-U_asked"."""
 
-_COPY = rf"(?:step\d+|relaxed|{ASKED}\d+)"
+_COPY = rf"(?:step\d+|relaxed|{QUERIED}\d+)"
 _KEPT = re.compile(rf"(?:.*_)?{_COPY}")
 
 Kind = Literal["texture", "shape", "combination", "other"]
@@ -39,36 +39,30 @@ _FOREIGN = re.compile(
 _FOREIGN_CONTROL = re.compile(
     rf"(?P<base>R-.*?)(?:_(?P<variant>{'|'.join(CHOICES)}))?(?:-(?P<repeat>\d+))?", re.DOTALL
 )
-_TEXTURE = re.compile(r"(?P<kind>[TR])-(?P<constraints>[A-Za-z]+)")
-_SHAPE = re.compile(r"(?P<random>R-)?S-O@(?P<magnitude>[-+.\w]+)")
-_LEARNT = re.compile(r"C-(?P<constraints>[A-Za-z]+)-(?P<order>seq|par)@(?P<magnitude>[-+.\w]+)")
-_DRAWN = re.compile(
-    r"R-C-(?P<constraints>[A-Za-z]+?)(?:-(?P<order>seq|par))?@(?P<magnitude>[-+.\w]+)"
+_NAME = re.compile(
+    r"(?P<kind>[TR])-(?P<texture>[A-Za-z]+)|(?P<random>R-)?"
+    r"(?:S-O|C-(?P<combined>[A-Za-z]+)(?:-(?P<order>seq|par))?)@(?P<magnitude>[-+.\w]+)"
 )
 
 
 @dataclass(frozen=True)
 class CamouflageName:
-    """What a name such as "C-PixFc-seq@0.2_on_retinanet-1" says.
+    """The parts of a name such as "C-PixFc-seq@0.2_on_retinanet-1"; `str` gives it back.
 
-    `str` gives the name back. Names that skyproof did not give (a user's "mine-2") are of kind
-    "other": they have a label, which may hold any "_" ("winter_white"), and like all names a
-    repeat; their only variants are the copies that an attack keeps on its way, and of a control how
-    it was chosen.
+    Names that skyproof did not give (a user's "mine-2") are of kind "other". They have a label,
+    which may hold any "_" ("winter_white"), and a repeat. Their only variants are the copies that
+    an attack keeps, and for a control how it was chosen.
 
     Attributes:
         kind: texture ("T-U"), shape ("S-O@0.4"), combination ("C-Fc-par@0.2"), or other.
-        constraints: those of the texture; None where vehicles keep their own paint.
-        magnitude: the shape's perturbation magnitude PM in [0, 1]; None where the shape stays.
-        order: whether a combined attack works in sequence or in parallel; None for its random
-            control, unless that is the attack's own texture under a random shape
-            ("R-C-Fc-seq@0.2").
-        random: whether it is a random control, drawn and not learnt.
-        variant: what stands after the first "_" of a name that skyproof gave: "on_retinanet",
-            "step10", "relaxed", "weather"; empty for none.
-        repeat: digits that number the attack's seed or the random draw; empty where the name has
-            none.
-        label: the base of a name of kind "other".
+        constraints: constraints of the texture; None if vehicles keep their own paint.
+        magnitude: perturbation magnitude PM of the shape in [0, 1]; None if the shape stays.
+        order: sequential or parallel combination. A random control has none, unless it puts a
+            random shape on the attack's own texture ("R-C-Fc-seq@0.2").
+        random: whether it is a control.
+        variant: text after the first "_", such as "on_retinanet", "step10", "weather"; or empty.
+        repeat: digits that number the attack's seed or the random draw; or empty.
+        label: base of a name of kind "other".
     """
 
     kind: Kind
@@ -95,37 +89,29 @@ class CamouflageName:
             ConfigurationError: no such camouflage, contradictory constraints, or PM outside [0, 1].
         """
         base, variant, repeat = _parts(_WHOLE, text)
-        if match := _TEXTURE.fullmatch(base):
-            constraints = TextureConstraints.parse(match["constraints"])
-            name = cls("texture", constraints, random=match["kind"] == "R")
-        elif match := _SHAPE.fullmatch(base):
-            magnitude = _magnitude(match["magnitude"])
-            name = cls("shape", magnitude=magnitude, random=bool(match["random"]))
-        elif match := _LEARNT.fullmatch(base):
-            constraints = TextureConstraints.parse(match["constraints"])
-            order = cast("Order | None", match["order"])
-            name = cls("combination", constraints, _magnitude(match["magnitude"]), order)
-        elif match := _DRAWN.fullmatch(base):
-            constraints = TextureConstraints.parse(match["constraints"])
-            magnitude = _magnitude(match["magnitude"])
-            order = cast("Order | None", match["order"])
-            name = cls("combination", constraints, magnitude, order, random=True)
-        else:
+        match = _NAME.fullmatch(base)
+        random = match is not None and (match["kind"] == "R" or match["random"] is not None)
+        if match is None or (match["combined"] and not match["order"] and not random):
             raise ConfigurationError(
                 f"{text[:200]!r} names no camouflage; expected for instance T-U, T-PixFcMa, "
                 "S-O@0.4, C-Fc-seq@0.2 or C-Fc-par@0.2, or a random control such as R-PixFc, "
                 "R-S-O@0.4 or R-C-Fc@0.2."
             )
-        name = replace(name, variant=variant, repeat=repeat)
+        words = match["texture"] or match["combined"]
+        constraints = TextureConstraints.parse(words) if words else None
+        magnitude = _magnitude(match["magnitude"]) if match["magnitude"] else None
+        kind: Kind = "texture" if match["texture"] else "combination" if words else "shape"
+        order = cast("Order | None", match["order"])
+        name = cls(kind, constraints, magnitude, order, random, variant, repeat)
         if name.choice == "plain" and name.constraints not in _PLAIN:
             raise ConfigurationError(
-                f"{text[:200]} asks for the best plain paint, which only U (all over) and Ma (on "
+                f"{text[:200]} names the best plain paint, which only U (all over) and Ma (on "
                 "painted parts) have, as in R-U_plain, R-Ma_plain or R-C-Ma@0.2_plain."
             )
         if name.choice is not None and name.order is not None:
             raise ConfigurationError(
-                f"{text[:200]} asks for a choice among draws of a shape on one texture; only "
-                f"{replace(name, order=None)} is chosen."
+                f"{text[:200]} would choose among draws of a shape on one texture; give "
+                f"{replace(name, order=None)}."
             )
         # It becomes a folder's.
         if not is_name(text) or not is_name(str(name)):
@@ -137,10 +123,7 @@ class CamouflageName:
 
     @classmethod
     def read(cls, text: str) -> CamouflageName:
-        """Reads any name, as tables and folders hold it.
-
-        One that `parse` refuses, or would write otherwise, is of kind "other".
-        """
+        """Reads any name; one that `parse` refuses or would write otherwise is of kind "other"."""
         try:
             name = cls.parse(text)
         except ConfigurationError:
@@ -156,12 +139,8 @@ class CamouflageName:
         """The name as tables show it and folders bear it."""
         variant = f"_{self.variant}" if self.variant else ""
         repeat = f"-{self.repeat}" if self.repeat else ""
-        return f"{self._base}{variant}{repeat}"
-
-    @property
-    def _base(self) -> str:
         at = "" if self.magnitude is None else f"@{self.magnitude:g}"
-        return f"{self.family}{at}"
+        return f"{self.family}{at}{variant}{repeat}"
 
     @property
     def family(self) -> str:
@@ -179,11 +158,11 @@ class CamouflageName:
 
     @property
     def in_words(self) -> str:
-        """What the camouflage is, for people: "blocks in ground colours on painted panels"."""
+        """The camouflage for people: "blocks in ground colours on painted panels"."""
         words = self._drawn_in_words
         if self.variant == TRANSFER:
             words += ", optimised on other detectors"
-        elif self.variant == ASKED:
+        elif self.variant == QUERIED:
             words += ", by a query attack"
         elif self.variant == IN_WEATHER:
             words += ", optimised in all weathers"
@@ -231,17 +210,17 @@ class CamouflageName:
         """The name of one repeat of the same camouflage, "T-U" and 1 to "T-U-1"."""
         return replace(self, repeat=str(repeat))
 
-    def asked(self, images: int) -> CamouflageName:
-        """The copy that a search by answers kept after so many images.
+    def after_queries(self, images: int) -> CamouflageName:
+        """The copy that a query attack kept after so many images.
 
         "T-U" and "T-U_asked" to "T-U_asked1500", "R-U_search" to "R-U_search_asked1500".
         """
-        kept = f"{ASKED}{images}"
+        kept = f"{QUERIED}{images}"
         return self.with_variant(kept) if self.choice else replace(self, variant=kept)
 
     @property
     def kept_copy(self) -> bool:
-        """Whether it is a copy that was kept on the way: "T-U_step10", "T-U_relaxed"; no attack."""
+        """Whether it is a copy that an attack kept: "T-U_step10", "T-U_relaxed"."""
         return _KEPT.fullmatch(self.variant) is not None
 
     @property
@@ -252,61 +231,31 @@ class CamouflageName:
 
     @property
     def takes_palette(self) -> bool:
-        """Whether its colours are those of a palette (Fc), or are learnt from there (Lc, Pix).
+        """Whether its colours come from a palette (Fc), or are optimised from there (Lc, Pix).
 
-        Random draws of other colours than fixed ones are drawn freely. Free colours of single
-        texels begin anywhere: from above they are an even grey. A sequential combination has its
-        texture from another.
+        Random controls draw other colours than fixed ones freely. Free colours of single texels
+        start anywhere. A sequential combination takes the texture of another attack.
         """
         if self.constraints is None or self.order == "seq":
             return False
         if self.constraints.colours == "fixed":
             return True
-        learnt = not self.random or self.choice == "search"
-        return learnt and (self.constraints.colours == "learnt" or self.constraints.pixelised)
+        optimised = not self.random or self.choice == "search"
+        return optimised and (self.constraints.colours == "learnt" or self.constraints.pixelised)
 
     @property
     def control(self) -> CamouflageName:
-        """The random control: the same constraints without learning, variants and repeats dropped.
+        """The random control under the same constraints, without variant and repeat.
 
-        "T-PixMa" to "R-PixMa", "S-O@0.4" to "R-S-O@0.4", "C-Fc-seq@0.2" and "C-Fc-par@0.2" to
-        "R-C-Fc@0.2".
+        "T-PixMa" to "R-PixMa", "C-Fc-seq@0.2" and "C-Fc-par@0.2" to "R-C-Fc@0.2".
         """
         if self.kind == "other":
             rest = self.label.partition("-")[2]
             return CamouflageName.read(f"R-{rest}")
         return replace(self.base, random=True, order=None)
 
-    @property
-    def unlearnt(self) -> tuple[CamouflageName, ...]:
-        """The controls that are chosen and not learnt, which a sceptic sets beside it.
-
-        They are the best plain one under the same mask, the best of many draws, and what a random
-        search finds: "T-PixMa" to "R-Ma_plain", "R-PixMa_best" and "R-PixMa_search".
-        """
-        drawn = self.control
-        plain = drawn
-        if drawn.constraints is not None:
-            plain = replace(drawn, constraints=TextureConstraints(masked=drawn.constraints.masked))
-        return (
-            plain.with_variant("plain"),
-            drawn.with_variant("best"),
-            drawn.with_variant("search"),
-        )
-
-    @property
-    def drawn_shape(self) -> CamouflageName | None:
-        """Of a learnt combination, the control with its own texture under a random shape.
-
-        "C-Fc-seq@0.2" to "R-C-Fc-seq@0.2"; None where texture and shape are not learnt together.
-        """
-        if self.order is None or self.random:
-            return None
-        return replace(self.base, random=True)
-
 
 def _parts(pattern: re.Pattern[str], text: str) -> tuple[str, str, str]:
-    """Base, variant and repeat."""
     match = pattern.fullmatch(text)
     assert match is not None
     return match["base"], match["variant"] or "", match["repeat"] or ""

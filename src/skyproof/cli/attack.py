@@ -94,7 +94,7 @@ class Attack:
         still = [name for name in names if name.magnitude == 0 and not name.random]
         if still:
             raise ConfigurationError(
-                f"{still[0]} has magnitude 0, with which there is nothing to learn; give a "
+                f"{still[0]} has magnitude 0, with which there is nothing to optimise; give a "
                 "magnitude above 0."
             )
         learnt = [name for name in names if not name.random or name.choice is not None]
@@ -186,10 +186,7 @@ class Attack:
         maker = Maker(ensemble, world, self.settings, device, palette, self.camouflage)
         for name in names:
             folder = self.out / str(name)
-            chosen = name.choice in ("plain", "best")
-            with progress_bar(f"{'choose' if chosen else 'attack'} {name}") as update:
-                if chosen:
-                    maker.choose(name, folder, draws=self.draws, progress=update)
-                else:
-                    texture = self._finished_texture()
-                    maker.optimise(name, folder, texture=texture, progress=update)
+            verb = "choose" if name.choice in ("plain", "best") else "attack"
+            texture = self._finished_texture()
+            with progress_bar(f"{verb} {name}") as update:
+                maker.make(name, folder, draws=self.draws, texture=texture, progress=update)

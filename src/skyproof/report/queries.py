@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
-from skyproof.camouflage.name import ASKED, TRANSFER, CamouflageName
+from skyproof.camouflage.name import QUERIED, TRANSFER, CamouflageName
 from skyproof.report.queries_figure import Curve, queries_figure
 from skyproof.results.result import LENIENT_MATCH
 from skyproof.results.results import Results
@@ -18,7 +18,7 @@ from skyproof.results.statistics.repeats import SEEDS
 from skyproof.words import interval, percent, points
 
 _QUANTILE = 1.96
-_KEPT = re.compile(rf"{ASKED}(?P<images>\d+)")
+_KEPT = re.compile(rf"{QUERIED}(?P<images>\d+)")
 
 
 @dataclass(frozen=True)
@@ -104,13 +104,13 @@ def _row(results: Results, name: CamouflageName) -> QueryResult | None:
     lenient = results.row(name, match=LENIENT_MATCH)
     return QueryResult(
         base,
-        results.single_interval(str(base)) if name.variant == ASKED else None,
+        results.single_interval(str(base)) if name.variant == QUERIED else None,
         results.single_interval(str(base.with_variant(TRANSFER))),
         asked,
         None if lenient is None else lenient.easr,
         record.images,
         # Beside gradients the random search followed losses, so it is no control of queries.
-        None if name.variant == ASKED else results.single_interval(str(search)),
+        None if name.variant == QUERIED else results.single_interval(str(search)),
     )
 
 
@@ -145,7 +145,7 @@ def _more(results: Results, row: QueryResult) -> _More | None:
     """Gives how much more queries hide than gradients; None where that is not significant."""
     if row.gradients is None:
         return None
-    more = results.difference(str(row.name.with_variant(ASKED)), str(row.name))
+    more = results.difference(str(row.name.with_variant(QUERIED)), str(row.name))
     if more is None or not more.low > 0:
         return None
     told = (

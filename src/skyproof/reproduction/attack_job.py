@@ -8,11 +8,6 @@ from skyproof.attacks.settings import AttackSettings
 from skyproof.camouflage.name import CamouflageName
 from skyproof.cli.attack import BEST_OF
 
-_PAINTS = 27
-_CHOICE_SCENES = 32
-"""On average: all are shown 16, the best quarter of them 64 more."""
-_WITHOUT_GRADIENT = 0.4
-
 
 @dataclass(frozen=True)
 class AttackJob:
@@ -38,13 +33,9 @@ class AttackJob:
 
     @property
     def images(self) -> float:
-        """How many images it sees, counted in those of an attack, which has a gradient, too."""
-        choice = CamouflageName.parse(self.name).choice
-        if choice in ("plain", "best"):
-            candidates = self.best_of if choice == "best" else _PAINTS
-            return _WITHOUT_GRADIENT * _CHOICE_SCENES * candidates * len(self.detectors)
-        images = self.settings.steps * self.settings.batch_size * len(self.detectors)
-        return images * (_WITHOUT_GRADIENT if choice else 1.0)
+        """The number of images it takes, as `AttackSettings.images` counts them."""
+        images = self.settings.images(CamouflageName.parse(self.name), self.best_of)
+        return images * len(self.detectors)
 
     @property
     def folders(self) -> tuple[str, ...]:

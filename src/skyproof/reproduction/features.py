@@ -14,6 +14,7 @@ import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.lines import Line2D
 
+from skyproof.camouflage.controls import controls
 from skyproof.camouflage.name import CamouflageName
 from skyproof.report.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, STYLE, as_files
 from skyproof.reproduction.cells import (
@@ -82,7 +83,7 @@ def _classes(
 
     Nothing where ground, vehicles or the camouflage are missing or too few.
     """
-    plain, *_ = name.unlearnt
+    plain = controls(name).plain_paint
     wanted = [GROUND, ORIGINAL, str(name), str(name.control), str(plain)]
     found = {
         shown: each

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from skyproof.camouflage.constraints import TextureConstraints
+from skyproof.camouflage.controls import chosen_controls, controls
 from skyproof.camouflage.name import IN_WEATHER, CamouflageName, Order
 from skyproof.reproduction.attack_job import AttackJob
 from skyproof.reproduction.preset import Preset
@@ -161,7 +162,9 @@ class Jobs:
         """The repeats and draws that the Cycles column has: more of the headlines."""
         preset = self._preset
         headlines = [CamouflageName.parse(text) for text in preset.cycles_headlines]
-        wanted = {each for name in headlines for each in (name, name.control, *name.unlearnt)}
+        wanted = {*headlines}
+        for name in headlines:
+            wanted |= {name.control, *controls(name).chosen}
 
         def has(name: CamouflageName) -> bool:
             if name.choice is not None:
@@ -176,15 +179,15 @@ class Jobs:
         preset = self._preset
         if not preset.best_of:
             return
-        steps: dict[CamouflageName, int] = {}
-        for job in self.attacks.values():
-            name = CamouflageName.parse(job.name)
-            # Under a sequential shape lies a texture that was learnt, too.
-            own = job.settings.steps + (preset.attack_steps.texture if job.texture else 0)
-            for control in () if name.variant else name.unlearnt:
-                steps[control] = max(own, steps.get(control, 0))
+        attacks = {
+            # Under a sequential shape lies an optimised texture, too.
+            CamouflageName.parse(job.name): job.settings.steps
+            + (preset.attack_steps.texture if job.texture else 0)
+            for job in self.attacks.values()
+            if not CamouflageName.parse(job.name).variant
+        }
         seed = next_seed(preset.seed, 0)
-        for control, count in steps.items():
+        for control, count in chosen_controls(attacks).items():
             settings = replace(preset.attack, steps=count, seed=seed)
             job = AttackJob(str(control), settings, preset.detectors)
             yield replace(job, best_of=preset.best_of)
@@ -198,7 +201,7 @@ class Jobs:
         shapes: dict[str, list[str]] = {}
         for job in self.attacks.values() if preset.best_of else ():
             name = CamouflageName.parse(job.name)
-            control = name.drawn_shape
+            control = controls(name).random_shape
             if control is None or name.variant or name.magnitude != preset.ladder_magnitude:
                 continue
             # A sequential attack has its texture from another, a parallel one its own.
@@ -211,8 +214,9 @@ class Jobs:
         """The first repeat of each, the first draw of its control, and the best plain paint."""
         for text in self._preset.features:
             name = CamouflageName.parse(text)
-            plain, *_ = name.unlearnt
-            yield from (str(name.with_repeat(0)), str(name.control.with_repeat(0)), str(plain))
+            beside = controls(name)
+            names = (name.with_repeat(0), beside.random.with_repeat(0), beside.plain_paint)
+            yield from map(str, names)
 
     def _in_weather(self) -> tuple[list[str], list[str]]:
         """Draws of the controls, and repeats of what was learnt on clear days and in all weathers.
@@ -221,9 +225,9 @@ class Jobs:
         """
         bases = [CamouflageName.parse(text) for text in self._preset.weather]
         wanted = {name for base in bases for name in (base, base.with_variant(IN_WEATHER))}
-        controls = {base.control for base in bases}
+        randoms = {base.control for base in bases}
         return (
-            [name for name in self.controls if CamouflageName.parse(name).pooled in controls],
+            [name for name in self.controls if CamouflageName.parse(name).pooled in randoms],
             [name for name in self.attacks if CamouflageName.parse(name).pooled in wanted],
         )
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from skyproof.camouflage.controls import controls
 from skyproof.camouflage.name import CamouflageName
 from skyproof.results.pairs.outcomes import MATCHES, ORIGINAL
 from skyproof.results.pairs.tiles import Cell, Series, TileCounts
@@ -143,7 +144,7 @@ class _Table:
 
         # What its controls do on the same tiles.
         beside = _Beside(self, members, detectors, group)
-        shape = name.drawn_shape
+        shape = controls(name).random_shape
 
         # Average precision, and what else the row needs.
         ap_original = self._mean([ORIGINAL], detectors, renderer, match, "average_precision")
@@ -175,7 +176,7 @@ class _Table:
                 members, detectors, renderer, match, alarms
             ),
             random=None if name.random else beside.contrast(name.control),
-            strongest=None if name.random else beside.strongest(name.unlearnt),
+            strongest=None if name.random else beside.strongest(controls(name).chosen),
             drawn_shape=None if shape is None else beside.contrast(shape),
             no_camouflage_p=None if untested else unchanged_p(totals),
         )
