@@ -6,7 +6,7 @@ Labelled images freeze its threshold.
 import skyproof as sp
 
 demo = "runs/demo"
-network: sp.Detector = sp.load_detector(f"{demo}/detectors/retinanet").detector
+network: sp.Detector = sp.load_detector(f"{demo}/detectors/retinanet")
 
 
 def black_box(images):  # [B, 3, H, W] in [0, 1]; replace by a call of your library or service

@@ -11,9 +11,7 @@ import skyproof as sp
 from skyproof.camouflage.palette import ground_palette
 
 world = sp.World.open("runs/demo/backgrounds", "runs/demo/fleets/attack", size_px=128)
-detectors = [
-    sp.load_detector(folder).detector for folder in sorted(Path("runs/demo/detectors").iterdir())
-]
+detectors = [sp.load_detector(folder) for folder in sorted(Path("runs/demo/detectors").iterdir())]
 draws = torch.Generator().manual_seed(0)
 palette = ground_palette(world.backgrounds)
 camouflage = sp.make_camouflage("T-PixFcMa", palette=palette, generator=draws)

@@ -31,7 +31,7 @@ checkpoint = Checkpoint(
 )
 validation = sp.Dataset.open("runs/images/validation")
 print(sp.import_detector(checkpoint, validation, "runs/mine/vehicles").validation)
-detector = sp.load_detector("runs/mine/vehicles").detector
+detector = sp.load_detector("runs/mine/vehicles")
 world = sp.World.open("runs/demo/backgrounds", "runs/demo/fleets/attack", size_px=128)
 texture = sp.make_camouflage("T-U", generator=torch.Generator().manual_seed(0))
 sp.attack(texture, [detector], world, sp.AttackSettings(steps=400), "runs/mine/T-U-on-vehicles")

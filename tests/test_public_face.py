@@ -48,7 +48,7 @@ def main() -> None:
     world = sp.World.open("runs/demo/backgrounds", "runs/demo/fleets/attack", size_px=128)
     texture = sp.make_camouflage("T-U", generator=torch.Generator().manual_seed(0))
     settings = sp.AttackSettings(steps=400)
-    texture = sp.attack(texture, [ours.detector, Own()], world, settings, "runs/mine/T-U")
+    texture = sp.attack(texture, [ours, Own()], world, settings, "runs/mine/T-U")
     texture = sp.query_attack(texture, theirs, world, sp.QuerySettings(images=2000), "runs/mine/q")
     scenes: list[sp.Scene] = images.scenes
     fleet: sp.Fleet = sp.Fleet.load("runs/demo/fleets/test")
@@ -63,7 +63,7 @@ def main() -> None:
         report = sp.write_report("runs/mine")
     except sp.SkyproofError as error:
         raise SystemExit(str(error)) from error
-    print(report, easr, hidden, name_of(theirs.detector), sp.import_detector)
+    print(report, easr, hidden, name_of(theirs), sp.import_detector)
 """
 
 

@@ -26,7 +26,7 @@ from skyproof.detectors.loaded import load_detector
 from skyproof.detectors.matching import MatchTable, match_images
 from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS, REFERENCE_FOLDER
 from skyproof.detectors.training import validate
-from skyproof.detectors.weights import plain_state, weights_digest
+from skyproof.detectors.weights import plain_state
 from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError
 from skyproof.layout import Layout
@@ -136,10 +136,10 @@ def _halve(layout: Layout, folder: Path) -> tuple[float, int, int]:
         vehicles it wins or loses at the threshold; and how many vehicles there are.
     """
     trained = load_detector(layout.detector(folder.name))
-    before = _matched(trained.detector, layout)
+    before = _matched(trained, layout)
     halves = {
         name: tensor.half() if tensor.is_floating_point() else tensor
-        for name, tensor in plain_state(trained.detector).items()
+        for name, tensor in plain_state(trained).items()
     }
     weights = folder / "weights.safetensors"
     write_tensors(weights, halves)
@@ -148,12 +148,11 @@ def _halve(layout: Layout, folder: Path) -> tuple[float, int, int]:
             f"{folder.name} has {weights.stat().st_size:,} bytes in half precision, more than the "
             f"{LARGEST_BYTES:,} that a package may carry; train a smaller one."
         )
-    detector = trained.detector
-    detector.load_state_dict(halves)
-    scores = validate(detector, Dataset.open(layout.dataset("validation")))
+    trained.load_state_dict(halves)
+    scores = validate(trained, Dataset.open(layout.dataset("validation")))
     card = replace(trained.card, threshold=scores.pop("threshold"), validation=scores)
-    write_card(folder / "detector.json", card, weights_digest(detector))
-    after = _matched(detector, layout)
+    write_card(folder / "detector.json", replace(card, weights_sha256=trained.weights_sha256))
+    after = _matched(trained, layout)
     moved = float(np.abs(after.score_of_vehicle - before.score_of_vehicle).max())
     changed = before.found_at(trained.threshold) != after.found_at(card.threshold)
     return moved, int(changed.sum()), before.vehicles

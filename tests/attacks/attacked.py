@@ -16,8 +16,9 @@ from skyproof.camouflage.make import make_camouflage
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.inference import detect_all
+from skyproof.detectors.loaded import load_detector
 from skyproof.detectors.matching import match_images
-from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS, reference_detector
+from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS
 from skyproof.scenes.scene import Scene
 from skyproof.scenes.settings import SceneSettings
 from tests.rendered_world import SIDE_PX, RenderedWorld, make_world
@@ -81,8 +82,8 @@ def drawn(name: str, seed: int = 0) -> Camouflage:
 def make_attacked(folder: Path) -> Attacked:
     """Draws ground and vehicles, and shows them to the detectors."""
     world = make_world(folder)
-    loaded = [reference_detector(name) for name in REFERENCE_DETECTORS]
-    detectors = [each.detector.requires_grad_(False) for each in loaded]
+    loaded = [load_detector(name) for name in REFERENCE_DETECTORS]
+    detectors = [each.requires_grad_(False) for each in loaded]
     thresholds = {each.name: each.threshold for each in loaded}
     test = world.scenes("test", TEST_SCENES, 1, 1)
     clean = found_by(detectors, thresholds, world.images("test", test))

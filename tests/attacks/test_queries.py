@@ -19,9 +19,9 @@ from skyproof.attacks.world import World
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.folder import load_camouflage, read_record
 from skyproof.camouflage.texture import UniversalTexture
+from skyproof.detectors.answers import BlackBoxDetector
 from skyproof.detectors.card import DetectorCard
 from skyproof.detectors.detector import Detections
-from skyproof.detectors.loaded import LoadedDetector
 from skyproof.errors import (
     ConfigurationError,
     DetectorAnswerError,
@@ -56,8 +56,10 @@ class Answering:
         return [Detections(*pair) for pair in zip(found.boxes, found.scores, strict=True)]
 
 
-def judge(detector: Answering, threshold: float = 0.6) -> LoadedDetector:
-    return LoadedDetector(detector, DetectorCard("answering", threshold=threshold, gsd_m=0.125))
+def judge(detector: Answering, threshold: float = 0.6) -> BlackBoxDetector:
+    return BlackBoxDetector(
+        detector, card=DetectorCard("answering", threshold=threshold, gsd_m=0.125)
+    )
 
 
 @torch.no_grad()

@@ -20,7 +20,6 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.paint import plain_paint
 from skyproof.camouflage.texture import UniversalTexture
 from skyproof.detectors.card import DetectorCard
-from skyproof.detectors.loaded import LoadedDetector
 from skyproof.errors import ConfigurationError
 from tests.attacks.test_kinds import FEW, PALETTE, BrightnessDetector, mean_loss, start, world
 
@@ -41,10 +40,10 @@ class Counting(BrightnessDetector):
         return super().loss(images, targets)
 
 
-def loaded(threshold: float, name: str = "brightness") -> LoadedDetector:
-    return LoadedDetector(
-        BrightnessDetector(), DetectorCard(name, threshold=threshold, gsd_m=0.125)
-    )
+def loaded(threshold: float, name: str = "brightness") -> BrightnessDetector:
+    detector = BrightnessDetector()
+    detector.set_card(DetectorCard(name, threshold=threshold, gsd_m=0.125))
+    return detector
 
 
 @pytest.mark.parametrize("name", SEARCHED)

@@ -18,7 +18,7 @@ from PIL import Image
 import skyproof as sp
 from skyproof.assessment import assess as assess_module
 from skyproof.camouflage.folder import read_record
-from skyproof.detectors.reference_detectors import reference_detector
+from skyproof.detectors.loaded import load_detector
 from skyproof.errors import ConfigurationError, DetectorAnswerError
 from tests.cli.test_assess import TINY
 
@@ -31,7 +31,7 @@ class Server(ThreadingHTTPServer):
 
     def __init__(self) -> None:
         super().__init__(("127.0.0.1", 0), _Handler)
-        self.detector = reference_detector("retinanet").detector
+        self.detector = load_detector("retinanet")
         self.pictures = 0
         self.fails_after: float = float("inf")
 

@@ -53,7 +53,7 @@ def test_agrees_with_the_average_precision_of_the_same_images(finished, tmp_path
     assert run(["score", "--detectors", str(detector), *options, "--out", str(out)]) == 0
     (row,) = json.loads((out / "baselines.json").read_text())["rows"]
     images = Dataset.open(finished / "datasets" / "validation")
-    found = detect_all(load_detector(detector).detector, images)
+    found = detect_all(load_detector(detector), images)
     expected = average_precision(match_images(found, images, criterion="centre_1m"))
     assert row["ap_centre_1m"] == pytest.approx(expected, abs=1e-6)
     assert not row["real"]

@@ -5,7 +5,7 @@ import shutil
 
 import pytest
 
-from skyproof.detectors.card import read_card, read_card_and_digest
+from skyproof.detectors.card import read_card
 from skyproof.results.precheck import read_precheck
 from tests.cli.conftest import Skyproof, bytes_of
 
@@ -81,7 +81,7 @@ def test_another_threshold_is_frozen_in_a_copy(
     assert answer.code == 0, answer.err
     best = "the lowest within a point of the best F1 on labelled images (test)"
     assert read_card(labels).threshold_from == best
-    digests = [read_card_and_digest(each / "detector.json")[1] for each in (labels, detector)]
+    digests = [read_card(each).weights_sha256 for each in (labels, detector)]
     assert digests[0] == digests[1]
     skyproof(*call).refused("exists already")
     assert bytes_of(detector) == before

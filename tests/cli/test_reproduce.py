@@ -148,7 +148,7 @@ def judge(place: Path, images: str, *, name: str = "retinanet") -> Path:
     place.mkdir()
     training = {"images": 60, "data_sha256": images}
     card = DetectorCard(name, threshold=0.4, gsd_m=0.125, training=training, trained_on=images)
-    write_card(place / "detector.json", card, images)
+    write_card(place / "detector.json", replace(card, weights_sha256=images))
     return place
 
 

@@ -112,7 +112,7 @@ def test_the_package_itself(tmp_path: Path) -> None:
     import_detector(
         Checkpoint(tmp_path / "best.pt", "ultralytics", CLASSES[:2]), VALIDATION, tmp_path / "out"
     )
-    found = load_detector(tmp_path / "out").detector.candidates(image())
+    found = load_detector(tmp_path / "out").candidates(image())
     torch.testing.assert_close(found.scores[0], scores, rtol=0, atol=1e-4)
     torch.testing.assert_close(found.boxes[0], boxes, rtol=1e-6, atol=1e-4)
     # Its loss, with the settings that its trainer gives it.
@@ -191,7 +191,7 @@ def test_a_checkpoint_of_2020(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     assert card.brought.architecture["anchors"][0] == pytest.approx(
         [11, 14.3, 17.6, 33, 36.3, 25.3]
     )
-    found = load_detector(tmp_path / "out").detector.candidates(image())
+    found = load_detector(tmp_path / "out").candidates(image())
     wanted = detector.candidates(image())
     torch.testing.assert_close(found.scores, wanted.scores)
     torch.testing.assert_close(found.boxes, wanted.boxes)
@@ -201,7 +201,7 @@ def test_a_checkpoint_of_2020(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     )
     assert other.brought is not None
     assert other.brought.vehicle_classes == [2]
-    trees = load_detector(tmp_path / "other").detector.candidates(image())
+    trees = load_detector(tmp_path / "other").candidates(image())
     assert (trees.scores - found.scores).abs().max() > 0.01
 
 

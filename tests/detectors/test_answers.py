@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.answers import CheckedAnswers
+from skyproof.detectors.answers import BlackBoxDetector
 from skyproof.detectors.card import DetectorCard
 from skyproof.detectors.detector import Detections
 from skyproof.detectors.inference import detect_all
@@ -37,12 +37,11 @@ def answer(boxes, scores):
 
 def test_answers_are_sorted_and_cut_at_the_border():
     low, high = [-3.0, 30.0, 12.0, 44.0], [50.0, 2.0, 70.0, 9.0]
-    checked = CheckedAnswers(Says(answer([low, high], [0.2, 0.9])))
+    checked = BlackBoxDetector(Says(answer([low, high], [0.2, 0.9])))
     (found,) = checked.detect(IMAGES)
     assert isinstance(found, Detections)
     assert found.scores.tolist() == pytest.approx([0.9, 0.2])
     assert found.boxes.tolist() == [[50, 2, 60, 9], [0, 30, 12, 40]]
-    assert checked.images == 1
 
 
 @pytest.mark.parametrize(
@@ -58,18 +57,18 @@ def test_any_callable_is_a_detector(form):
     def theirs(images):
         return [form([BOX], [0.5])] * len(images)
 
-    asked = CheckedAnswers(theirs)
+    asked = BlackBoxDetector(theirs)
     first, second = asked.detect(torch.cat([IMAGES, IMAGES]))
     assert first.boxes.tolist() == second.boxes.tolist() == [BOX]
-    assert (asked.name, asked.images) == ("theirs", 2)
+    assert asked.name == "theirs"
 
 
 def test_a_callable_has_a_name_that_can_be_a_files():
-    assert CheckedAnswers(lambda images: []).name == "lambda"
-    assert CheckedAnswers(partial(print), name="mine").name == "mine"
+    assert BlackBoxDetector(lambda images: []).name == "lambda"
+    assert BlackBoxDetector(partial(print), name="mine").name == "mine"
     for detector, name in [(partial(print), None), (print, "../out"), (3, "three")]:
         with pytest.raises(ConfigurationError, match="callable with a plain name") as error:
-            CheckedAnswers(detector, name)
+            BlackBoxDetector(detector, name)
         assert "give a function from images to boxes and scores" in str(error.value)
 
 
@@ -86,7 +85,7 @@ def test_a_callables_threshold_is_frozen_on_labelled_images():
 
 @pytest.mark.parametrize("empty", [[], torch.zeros(0), torch.zeros(0, 4)])
 def test_nothing_found_is_an_answer(empty):
-    (found,) = CheckedAnswers(Says(answer(empty, []))).detect(IMAGES)
+    (found,) = BlackBoxDetector(Says(answer(empty, []))).detect(IMAGES)
     assert found.boxes.shape == (0, 4)
     assert found.scores.shape == (0,)
 
@@ -112,7 +111,7 @@ def test_nothing_found_is_an_answer(empty):
 )
 def test_what_cannot_be_an_answer_is_one_sentence(answers, words):
     with pytest.raises(DetectorAnswerError) as error:
-        CheckedAnswers(Says(*answers)).detect(IMAGES)
+        BlackBoxDetector(Says(*answers)).detect(IMAGES)
     assert words in str(error.value)
     assert str(error.value).startswith("The detector theirs gave an answer")
     assert "the same command goes on" in str(error.value)
@@ -127,10 +126,10 @@ def test_what_its_program_raises_is_one_sentence():
     with pytest.raises(
         DetectorAnswerError, match=r"ConnectionRefusedError: \[Errno 111\] Connection"
     ):
-        CheckedAnswers(Down()).detect(IMAGES)
+        BlackBoxDetector(Down()).detect(IMAGES)
 
 
-def test_answers_are_checked_wherever_a_bare_object_is_asked():
+def test_answers_are_checked_wherever_an_object_is_used():
     class Bare:
         name = "theirs"
 
@@ -146,12 +145,11 @@ def test_answers_are_checked_wherever_a_bare_object_is_asked():
     dataset = Dataset.of_images([small], [box], gsd_m=0.125)
     for score in (float("nan"), 92.0):
         with pytest.raises(DetectorAnswerError, match="The detector theirs"):
-            validate(Bare(box, [score]), dataset)
+            validate(BlackBoxDetector(Bare(box, [score])), dataset)
     # Boxes of double precision were no boxes to suppression.
     for image in (small, large):
-        (found,) = detect_all(
-            Bare(box.double(), [0.5]), Dataset.of_images([image], [box], gsd_m=1.0)
-        )
+        detector = BlackBoxDetector(Bare(box.double(), [0.5]))
+        (found,) = detect_all(detector, Dataset.of_images([image], [box], gsd_m=1.0))
         assert found.boxes.dtype == torch.float32
     with pytest.raises(ConfigurationError, match=r"^threshold expects .* got 46"):
         DetectorCard("theirs", threshold=46.0, gsd_m=0.125)
@@ -163,4 +161,4 @@ def test_an_error_of_ours_stays_what_it_is():
             raise ConfigurationError("Other images, please.")
 
     with pytest.raises(ConfigurationError, match="Other images"):
-        CheckedAnswers(Ours()).detect(IMAGES)
+        BlackBoxDetector(Ours()).detect(IMAGES)

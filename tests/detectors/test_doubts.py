@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
 
+from skyproof.detectors.blueprint import ARCHITECTURES, Blueprint
 from skyproof.detectors.build import build_detector
-from skyproof.detectors.card import DetectorCard, read_card
-from skyproof.detectors.doubts import LEAST_AP, LEAST_VEHICLES, find_doubts
+from skyproof.detectors.card import LEAST_AP, LEAST_VEHICLES, DetectorCard, read_card
 from skyproof.detectors.loaded import save_detector
 
 
@@ -31,7 +32,8 @@ from skyproof.detectors.loaded import save_detector
 def test_each_doubt_is_one_sentence(
     ap: float | None, vehicles: int | None, words: list[str]
 ) -> None:
-    found = find_doubts("mine", imported=False, ap_centre_1m=ap, vehicles=vehicles)
+    card = DetectorCard("mine", threshold=0.5, gsd_m=0.125, validation_vehicles=vehicles)
+    found = replace(card, validation={} if ap is None else {"ap_centre_1m": ap}).doubts
     assert len(found) == len(words)
     for sentence, part in zip(found, words, strict=True):
         assert part in sentence
@@ -41,7 +43,11 @@ def test_each_doubt_is_one_sentence(
 
 
 def test_an_imported_detector_gets_another_remedy() -> None:
-    (sentence,) = find_doubts("theirs", imported=True, ap_centre_1m=0.01, vehicles=None)
+    brought = Blueprint("torchvision", ARCHITECTURES[0], ["0"], [0], 1.0, None, "x.pth", "0")
+    card = DetectorCard(
+        "theirs", threshold=0.5, gsd_m=0.125, validation={"ap_centre_1m": 0.01}, brought=brought
+    )
+    (sentence,) = card.doubts
     assert "check that the checkpoint was trained" in sentence
     assert "--vehicle-classes" in sentence
 

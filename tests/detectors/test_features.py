@@ -11,6 +11,7 @@ from test_imported import ONE_OF_EACH, PLAN, yolo_plan
 from torch import Tensor
 from torchvision.ops.poolers import LevelMapper
 
+from skyproof.detectors.answers import BlackBoxDetector
 from skyproof.detectors.build import build_detector
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.features import (
@@ -111,4 +112,4 @@ def test_a_black_box_shows_no_features() -> None:
         def detect(self, images: Tensor) -> list[Tensor]:
             return []
 
-    assert not isinstance(BlackBox(), FeatureDetector)
+    assert not isinstance(BlackBoxDetector(BlackBox()), FeatureDetector)

@@ -64,7 +64,7 @@ def test_a_torchvision_checkpoint(stored: Path, network: torch.nn.Module) -> Non
         "detector.json",
         "weights.safetensors",
     ]
-    detector = load_detector(stored).detector
+    detector = load_detector(stored)
     card = read_card(stored)
     assert (card.name, card.size, card.gsd_m, card.image_size_px) == (
         "out",  # The folder's, where no name is given.
@@ -108,7 +108,7 @@ def test_every_form_of_the_same_weights_gives_the_same_detector(
 
 def test_the_resolution_it_was_made_for(checkpoint: Checkpoint, tmp_path: Path) -> None:
     card = import_detector(replace(checkpoint, gsd_m=0.0625), VALIDATION, tmp_path / "out")
-    detector = load_detector(tmp_path / "out").detector
+    detector = load_detector(tmp_path / "out")
     assert card.gsd_m == 0.125
     shown: list[torch.Size] = []
     model: Any = detector.network.model  # type: ignore[union-attr]
@@ -250,9 +250,7 @@ def test_an_ultralytics_checkpoint(
     assert card.brought.classes == names
     assert {**card.validation, "threshold": card.threshold} == scores
     wanted = theirs.half().float()(IMAGES)[0][:, [4 + count - 1, 4 + count - 2]].amax(dim=1)
-    torch.testing.assert_close(
-        loaded.detector.candidates(IMAGES).scores, wanted, rtol=1e-3, atol=1e-5
-    )
+    torch.testing.assert_close(loaded.candidates(IMAGES).scores, wanted, rtol=1e-3, atol=1e-5)
     with pytest.raises(ConfigurationError, match=r"small vehicle, truck; got boat"):
         import_detector(
             replace(checkpoint, vehicle_classes=("boat",)), VALIDATION, tmp_path / "other"

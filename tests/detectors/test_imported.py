@@ -16,7 +16,7 @@ from torchvision.models import detection
 from torchvision.ops import box_convert
 
 from skyproof.detectors.blueprint import ARCHITECTURES, Blueprint
-from skyproof.detectors.detector import Detector, TrainableDetector
+from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.imported import ImportedDetector
 from skyproof.detectors.imported_torchvision import ImportedFasterRcnn, ImportedFcos
 from skyproof.detectors.ultralytics_detectors import _quiet_import
@@ -249,7 +249,6 @@ def test_loss_of_an_image_is_its_own_finite_and_moves_the_score(imported: Import
 
 
 def test_candidates_are_differentiable_and_detections_sorted(imported: ImportedDetector) -> None:
-    assert isinstance(imported, Detector)
     images = IMAGES.clone().requires_grad_()
     found = imported.candidates(images)
     found.scores[found.valid].max().backward()

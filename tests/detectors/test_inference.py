@@ -11,12 +11,12 @@ from PIL import Image
 
 from skyproof.datasets.dataset import Dataset
 from skyproof.datasets.pictures import PictureInMemory, Window
-from skyproof.detectors.detector import Detections
+from skyproof.detectors.detector import Detections, Detector
 from skyproof.detectors.inference import LARGEST_WHOLE_PX, covering_windows, detect_all
 from skyproof.imagery.frames import FramePicture
 
 
-class Spots:
+class Spots(Detector):
     """Finds every bright spot of 8 px that it sees whole, and of one cut by the edge the rest."""
 
     name = "spots"

@@ -12,11 +12,11 @@ import torch
 from detector_images import NAMES
 from safetensors.torch import load_file, save_file
 
+from skyproof.detectors.answers import BlackBoxDetector
 from skyproof.detectors.build import build_detector
 from skyproof.detectors.card import DetectorCard, read_card
 from skyproof.detectors.detector import Detections
 from skyproof.detectors.loaded import (
-    LoadedDetector,
     copy_detector,
     load_detector,
     load_ensemble,
@@ -174,12 +174,12 @@ class Blind:
         return [Detections(torch.empty(0, 4), torch.empty(0)) for _ in images]
 
 
-def test_a_loaded_detector_is_no_pair() -> None:
+def test_a_detector_is_no_pair() -> None:
     # `detector, threshold = ...` once bound a card to the name of a threshold.
-    black_box = LoadedDetector(Blind(), DetectorCard("mine", threshold=0.5, gsd_m=0.2))
+    black_box = BlackBoxDetector(Blind(), card=DetectorCard("mine", threshold=0.5, gsd_m=0.2))
     assert (black_box.name, black_box.threshold, black_box.card.gsd_m) == ("mine", 0.5, 0.2)
     with pytest.raises(TypeError):
-        _, _ = black_box
+        _, _ = black_box  # type: ignore[misc]
 
 
 def test_a_copy_has_what_belongs_to_a_detector_and_nothing_from_elsewhere(

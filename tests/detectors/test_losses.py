@@ -7,7 +7,7 @@ import torch
 from detector_images import NAMES, bar_images
 
 from skyproof.detectors.build import build_detector
-from skyproof.detectors.detector import Detector, TrainableDetector
+from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.weights import weights_digest
 from skyproof.errors import ConfigurationError
 
@@ -110,7 +110,6 @@ def test_loss_is_finite_in_train_mode(trained: TrainableDetector) -> None:
 
 
 def test_candidates_are_differentiable_and_detections_sorted(trained: TrainableDetector) -> None:
-    assert isinstance(trained, Detector)
     images = IMAGES.clone().requires_grad_()
     found = trained.candidates(images)
     assert found.valid.dtype == torch.bool

@@ -12,11 +12,12 @@ import skyproof as sp
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.detector import Detections
 from skyproof.detectors.inference import detect_all
+from skyproof.detectors.loaded import load_detector
 from skyproof.detectors.matching import match_images
 from skyproof.detectors.reference_detectors import (
     REFERENCE_DETECTORS,
     REFERENCE_FOLDER,
-    reference_detector,
+    reference_folder,
 )
 from skyproof.detectors.training import validate
 from skyproof.errors import ConfigurationError
@@ -55,13 +56,13 @@ def recall_and_precision(found: list[Detections], images: Dataset, threshold: fl
 
 @pytest.mark.parametrize("name", REFERENCE_DETECTORS)
 def test_they_find_vehicles_at_their_frozen_threshold(name: str, images: Dataset) -> None:
-    judge = reference_detector(name)
-    found = detect_all(judge.detector, images)
+    judge = load_detector(name)
+    found = detect_all(judge, images)
     recall, precision = recall_and_precision(found, images, judge.threshold)
     assert recall > 0.7
     assert precision > 0.7
     # The threshold is one that fits: hardly any other is better.
-    assert validate(judge.detector, images)["f1"] < 2 / (1 / recall + 1 / precision) + 0.1
+    assert validate(judge, images)["f1"] < 2 / (1 / recall + 1 / precision) + 0.1
 
 
 @pytest.mark.parametrize("name", REFERENCE_DETECTORS)
@@ -70,13 +71,13 @@ def test_halves_are_stored_and_single_precision_is_computed_with(name: str) -> N
     assert path.stat().st_size <= LARGEST_BYTES
     stored = load_file(path)
     assert {tensor.dtype for tensor in stored.values()} == {torch.float16, torch.int64}
-    loaded = reference_detector(name)
-    assert {parameter.dtype for parameter in loaded.detector.parameters()} == {torch.float32}
-    for key, tensor in loaded.detector.state_dict().items():
+    loaded = load_detector(name)
+    assert {parameter.dtype for parameter in loaded.parameters()} == {torch.float32}
+    for key, tensor in loaded.state_dict().items():
         assert torch.equal(tensor, stored[key].to(tensor.dtype)), key
     card = loaded.card
     assert (card.name, card.size, card.gsd_m) == (name, "slim", 0.125)
-    assert card.parameters == sum(each.numel() for each in loaded.detector.parameters())
+    assert card.parameters == sum(each.numel() for each in loaded.parameters())
     assert card.doubts == []
 
 
@@ -94,30 +95,30 @@ def test_how_they_were_made_is_told_beside_them() -> None:
     assert "Apache-2.0" in page
     assert "skyproof reproduce --preset reference" in page
     for name in REFERENCE_DETECTORS:
-        assert f"{reference_detector(name).threshold:.3f}" in page
+        assert f"{load_detector(name).threshold:.3f}" in page
     assert {path.name for path in REFERENCE_FOLDER.iterdir()} == {"README.md", *REFERENCE_DETECTORS}
 
 
 @pytest.mark.parametrize("name", ["yolov5", "../retinanet", ""])
 def test_no_other_comes_trained(name: str) -> None:
     with pytest.raises(ConfigurationError, match="does not come trained"):
-        reference_detector(name)
+        reference_folder(name)
 
 
 def test_halves_are_widened_wherever_a_detector_lies(tmp_path: Path) -> None:
     """A folder of the user's may hold halves, too; its digest is that of what is computed with."""
-    from skyproof.detectors.loaded import load_detector, save_detector
+    from skyproof.detectors.loaded import save_detector
     from skyproof.detectors.weights import plain_state, weights_digest
     from skyproof.storage import write_tensors
 
-    judge = reference_detector("retinanet")
-    save_detector(tmp_path, judge.detector, judge.card)
-    assert load_file(tmp_path / "weights.safetensors").keys() == plain_state(judge.detector).keys()
+    judge = load_detector("retinanet")
+    save_detector(tmp_path, judge, judge.card)
+    assert load_file(tmp_path / "weights.safetensors").keys() == plain_state(judge).keys()
     single = (tmp_path / "weights.safetensors").stat().st_size
     halves = {
         name: tensor.half() if tensor.is_floating_point() else tensor
-        for name, tensor in plain_state(judge.detector).items()
+        for name, tensor in plain_state(judge).items()
     }
     write_tensors(tmp_path / "weights.safetensors", halves)
     assert (tmp_path / "weights.safetensors").stat().st_size < 0.6 * single
-    assert weights_digest(load_detector(tmp_path).detector) == weights_digest(judge.detector)
+    assert weights_digest(load_detector(tmp_path)) == weights_digest(judge)

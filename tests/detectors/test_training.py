@@ -121,7 +121,7 @@ def test_a_finished_folder_is_loaded_and_not_trained_again(tmp_path: Path) -> No
     assert (
         weights_digest(second)
         == weights_digest(first)
-        == weights_digest(load_detector(tmp_path / "run").detector)
+        == weights_digest(load_detector(tmp_path / "run"))
     )
     assert sorted(path.name for path in (tmp_path / "run").iterdir()) == [
         "detector.json",

@@ -12,7 +12,7 @@ import rasterio
 from PIL import Image
 from rasterio.transform import from_origin
 
-from skyproof.detectors.card import read_card_and_digest
+from skyproof.detectors.card import read_card
 from skyproof.generator.fits import fitted_vehicles
 from skyproof.generator.folder import save_generator
 from skyproof.generator.layered import LayeredGenerator
@@ -90,14 +90,15 @@ def make_world(folder: Path) -> None:
 
 
 def _write_check(folder: Path) -> None:
-    card, digest = read_card_and_digest(folder / "detector.json")
+    card = read_card(folder)
     some = Interval(0.5, 0.25, 0.75)
     check = Baseline("retinanet", "renders", 2, 2, False, some, "places", 2, 0.5, some, some, 0.5)
     rates = [Rate("paint_body", "#ff8000", 1, some), Rate("blur", "0.4 px", 1, some)]
     on = MeasuredOn(2, "", ("procedural",), 1, 0)
     # The one that it came with tells of more.
     (folder / PRECHECK_FILE).unlink()
-    write_precheck(folder, PrecheckRecord("retinanet", digest, card.threshold, on, [check], rates))
+    record = PrecheckRecord("retinanet", card.weights_sha256, card.threshold, on, [check], rates)
+    write_precheck(folder, record)
 
 
 def _write_photo(path: Path) -> None:

@@ -12,9 +12,9 @@ import torch
 from PIL import Image
 
 from skyproof.datasets.coco import Annotation, CocoWriter
+from skyproof.detectors.answers import BlackBoxDetector
 from skyproof.detectors.card import DetectorCard
 from skyproof.detectors.detector import Detections
-from skyproof.detectors.loaded import LoadedDetector
 from skyproof.errors import ConfigurationError, ImageryError, StoredFileError
 from skyproof.files import finished_folder
 from skyproof.imagery.clearing.clear import clear_backgrounds
@@ -118,7 +118,7 @@ class Reds:
 
 def finder(detector=None, gsd_m=0.125):
     card = DetectorCard("reds", threshold=0.5, gsd_m=gsd_m)
-    return VehicleFinder(LoadedDetector(detector or Reds(), card), "reds")
+    return VehicleFinder(BlackBoxDetector(detector or Reds(), card=card), "reds")
 
 
 def ground(image, mask):

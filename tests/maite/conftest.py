@@ -9,7 +9,7 @@ import pytest
 import torch
 
 import skyproof as sp
-from skyproof.detectors.reference_detectors import reference_detector
+from skyproof.detectors.loaded import load_detector
 from skyproof.maite import CamouflageAugmentation, DetectorModel
 from skyproof.render.dataset import render_dataset
 from skyproof.scenes.sampling import sample_scenes
@@ -60,4 +60,4 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> Folders:
 @pytest.fixture(scope="session")
 def model() -> DetectorModel:
     """The RetinaNet that comes with skyproof."""
-    return DetectorModel(reference_detector("retinanet"))
+    return DetectorModel(load_detector("retinanet"))

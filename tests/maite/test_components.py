@@ -19,8 +19,7 @@ from maite.tasks import evaluate, predict
 import skyproof as sp
 from skyproof.assessment.request import Request
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.answers import CheckedAnswers
-from skyproof.detectors.reference_detectors import reference_detector
+from skyproof.detectors.loaded import load_detector
 from skyproof.errors import ConfigurationError, DetectorAnswerError, StoredFileError
 from skyproof.maite import (
     CamouflageAugmentation,
@@ -89,7 +88,7 @@ def test_maite_evaluates_a_camouflage(folders: Folders, model: DetectorModel) ->
 
 
 def test_the_metric_counts_as_our_tables_do(folders: Folders, model: DetectorModel) -> None:
-    judge = reference_detector("retinanet")
+    judge = load_detector("retinanet")
     outcomes = sp.measure(
         [judge],
         sp.Dataset.open(folders.original).scenes,
@@ -242,7 +241,7 @@ def test_two_classes_of_one_vehicle_are_one_detection() -> None:
 
 
 def test_a_models_id_tells_its_threshold() -> None:
-    loaded = reference_detector("retinanet")
+    loaded = load_detector("retinanet")
     other = replace(loaded, card=replace(loaded.card, threshold=0.9))
     ids = [DetectorModel(each).metadata["id"] for each in (loaded, other, loaded)]
     assert ids[0] == ids[2] != ids[1]
@@ -305,7 +304,7 @@ class SomebodysModel:
     def __init__(self, classes: list[str], *, columns: bool = False) -> None:
         self.metadata = {"id": "else/where 1", "index2label": dict(enumerate(classes))}
         self._columns = columns
-        self._model = DetectorModel(reference_detector("retinanet"))
+        self._model = DetectorModel(load_detector("retinanet"))
 
     def __call__(self, batch_input: Any, /) -> list[SimpleNamespace]:
         answers = []
@@ -323,7 +322,7 @@ class SomebodysModel:
 def test_a_maite_model_is_a_detector(folders: Folders, *, columns: bool) -> None:
     theirs = SomebodysModel(["van", "tree", "car"], columns=columns)
     image = torch.from_numpy(VehicleDataset(folders.original).get_input(0))[None]
-    (expected,) = reference_detector("retinanet").detector.detect(image / 255)
+    (expected,) = load_detector("retinanet").detect(image / 255)
     for largest_value in (1, 255):
         detector = ModelDetector(
             theirs, vehicle_classes=["car", "van"], largest_value=largest_value
@@ -361,7 +360,6 @@ def test_assess_asks_a_maite_model(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     images = torch.rand(1, 3, 96, 96, generator=torch.Generator().manual_seed(0))
     (found,) = box.detect(images)
     assert len(found.boxes) == len(found.scores)
-    assert box.images == 1
     with pytest.raises(ConfigurationError, match="knows 2 classes"):
         sp.assess(theirs, tmp_path / "run")
     with pytest.raises(ConfigurationError, match="architecture is for checkpoint files"):
@@ -374,7 +372,7 @@ def test_an_answer_of_nonsense_is_one_sentence(tmp_path: Path) -> None:
     theirs = SomebodysModel(["car"])
     found = SimpleNamespace(boxes=np.ones((1, 4)), labels=np.zeros(1), scores=np.full(1, np.nan))
     theirs._model = lambda batch: [found] * len(batch)  # type: ignore[assignment]
-    detector = CheckedAnswers(ModelDetector(theirs))
+    detector = BlackBoxDetector(ModelDetector(theirs))
     with pytest.raises(DetectorAnswerError, match="finite numbers, got NaN"):
         detector.detect(torch.zeros(1, 3, 8, 8))
     found.scores = np.zeros((1, 2, 3))

@@ -8,14 +8,16 @@ import torch
 
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.card import DetectorCard
-from skyproof.detectors.loaded import LoadedDetector
+from skyproof.detectors.detector import Detector
 from skyproof.measure import measure as room
 from skyproof.measure.views import View
 from skyproof.scenes.weather import draw_weather
 
 
 def detector(threshold=0.5):
-    return LoadedDetector(None, DetectorCard("retinanet", threshold=threshold, gsd_m=0.125))
+    detector = Detector()
+    detector.set_card(DetectorCard("retinanet", threshold=threshold, gsd_m=0.125))
+    return detector
 
 
 def view(found, truth, ignore=None, visible=None):

@@ -11,6 +11,7 @@ from skyproof.camouflage.folder import load_camouflage, save_camouflage
 from skyproof.camouflage.paint import LATTICE, TWO_TONES, plain_paint, two_tone_paint
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors import inference
+from skyproof.detectors.card import DetectorCard, write_card
 from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
 from skyproof.measure.baseline import BaselineSet
 from skyproof.measure.precheck import precheck
@@ -143,7 +144,8 @@ def test_what_cannot_be_checked_is_refused(backgrounds, fleet, scenes):
     unlabelled = Dataset.of_images([image], [torch.zeros(0, 4)], gsd_m=0.125)
     with pytest.raises(ConfigurationError, match="Town has no labelled vehicles"):
         check(judging(toy), frames=[BaselineSet("Town", unlabelled, real=True)])
-    coarse = replace(judging(toy), card=replace(judging(toy).card, gsd_m=0.25))
+    coarse = judging(toy)
+    coarse.set_card(replace(coarse.card, gsd_m=0.25))
     with pytest.raises(ConfigurationError, match=r"for 0\.25 m per pixel"):
         check(coarse)
     with pytest.raises(ConfigurationError, match="Two detectors are called 'toy'"):
@@ -183,7 +185,8 @@ def test_a_damaged_record_is_refused(records, tmp_path, changed):
 def test_a_record_of_another_threshold_tells_nothing_of_a_detector(records, tmp_path):
     for name, threshold in (("good", 0.5), ("blind", 0.4)):
         write_precheck(tmp_path / name, records[name])
-        (tmp_path / name / "detector.json").write_text(json.dumps({"threshold": threshold}))
+        card = DetectorCard(name, threshold=threshold, gsd_m=0.125)
+        write_card(tmp_path / name / "detector.json", card)
     assert list(read_prechecks(tmp_path)) == ["good"]
 
 

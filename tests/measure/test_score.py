@@ -10,9 +10,9 @@ from PIL import Image
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.name import CamouflageName
 from skyproof.datasets.dataset import Dataset
+from skyproof.detectors.answers import BlackBoxDetector
 from skyproof.detectors.card import DetectorCard
 from skyproof.detectors.detector import Detections
-from skyproof.detectors.loaded import LoadedDetector
 from skyproof.detectors.matching import match_images
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.measure import views
@@ -107,7 +107,7 @@ def some_scenes(make_scene, fleet, count, vehicles=1):
 
 def judging(detector, threshold):
     card = DetectorCard(detector.name, threshold=threshold, gsd_m=0.125)
-    return LoadedDetector(detector, card)
+    return BlackBoxDetector(detector, card=card)
 
 
 def flat_images(levels, vehicles=1):

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import torch
 
+from skyproof.detectors.answers import BlackBoxDetector
 from skyproof.detectors.card import DetectorCard
 from skyproof.detectors.detector import Detections
-from skyproof.detectors.loaded import LoadedDetector
 from skyproof.render.dataset import placed_vehicles
 from skyproof.render.renderer import TorchRenderer
 from skyproof.scenes.background_index import BackgroundTile, save_tile, write_index
@@ -90,4 +90,6 @@ def make_scenes(backgrounds, fleet):
 
 
 def judging(detector, threshold=0.5):
-    return LoadedDetector(detector, DetectorCard(detector.name, threshold=threshold, gsd_m=GSD_M))
+    return BlackBoxDetector(
+        detector, card=DetectorCard(detector.name, threshold=threshold, gsd_m=GSD_M)
+    )

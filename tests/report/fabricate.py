@@ -162,9 +162,11 @@ def _write_rest(folder, rng):
     for d in DETECTORS:
         validation = {"ap_centre_1m": 0.98, "ap_iou_50": 0.95, "f1": 0.94}
         about = {
+            "format": 1,
             "name": d,
             "size": "slim",
             "threshold": 0.5,
+            "gsd_m": 0.125,
             "parameters": 712_345,
             "validation": validation,
         }

@@ -480,8 +480,6 @@ def test_a_link_out_of_the_run_is_not_shown(run_folder, tmp_path):
 def test_damage_is_one_sentence_with_the_file(run_folder, file, content):
     path = run_folder / file
     path.parent.mkdir(parents=True, exist_ok=True)
-    if path.name == "steps.jsonl":
-        (path.parent / "detector.json").write_text("{}")
     path.write_text(content)
     with pytest.raises(StoredFileError) as refused:
         write_report(run_folder)

@@ -9,8 +9,7 @@ from torchvision import ops
 from skyproof.datasets.coco import Annotation, CocoWriter
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.card import DetectorCard
-from skyproof.detectors.detector import Detections
-from skyproof.detectors.loaded import LoadedDetector
+from skyproof.detectors.detector import Detections, Detector
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.reproduction import gather_features as module
 from skyproof.reproduction.gather_features import gather_features
@@ -21,7 +20,7 @@ VEHICLES = [(20.0, 30.0, 56.0, 46.0), (100.0, 90.0, 116.0, 126.0)]
 UNSEEN = (0.0, 0.0, 0.0, 0.0)
 
 
-class Looking:
+class Looking(Detector):
     """Finds the first vehicle, and its features are a box's place and mean brightness."""
 
     def __init__(self, name="looking"):
@@ -39,7 +38,7 @@ class Looking:
         ]
 
 
-class BlackBox:
+class BlackBox(Detector):
     name = "black_box"
 
     def detect(self, images):
@@ -47,7 +46,8 @@ class BlackBox:
 
 
 def judging(detector):
-    return LoadedDetector(detector, DetectorCard(detector.name, threshold=0.5, gsd_m=0.125))
+    detector.set_card(DetectorCard(detector.name, threshold=0.5, gsd_m=0.125))
+    return detector
 
 
 @pytest.fixture

@@ -37,7 +37,8 @@ def add_judges(folder, table, rates, *, ap=0.6, trained_on="train: tiles of real
         )  # fmt: skip
     for each in DETECTORS:
         validation = {"ap_centre_1m": 0.9, "ap_iou_50": 0.8, "f1": 0.9}
-        about = {"validation": validation, "validation_vehicles": 46, "trained_on": trained_on}
+        about = {"format": 1, "name": each, "threshold": 0.5, "gsd_m": 0.125}
+        about |= {"validation": validation, "validation_vehicles": 46, "trained_on": trained_on}
         write_json(own / "detectors" / each / "detector.json", about)
 
 

@@ -48,7 +48,7 @@ def detector(place: Path, card: DetectorCard = CARD, *, digest: str = "1") -> Pa
     place.mkdir(parents=True)
     (place / "weights.safetensors").write_text(f"weights {digest}")
     (place / "steps.jsonl").write_text("{}")
-    write_card(place / "detector.json", card, digest)
+    write_card(place / "detector.json", replace(card, weights_sha256=digest))
     return place
 
 

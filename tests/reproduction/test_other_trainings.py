@@ -25,8 +25,11 @@ def write_cards(layout, weights, **changes):
     training |= changes
     for name in DETECTORS:
         card = {
+            "format": 1,
+            "name": name,
             "size": "slim",
             "threshold": 0.5,
+            "gsd_m": 0.125,
             "validation": {"ap_centre_1m": 0.9 + 0.01 * int(weights)},
         }
         card |= {"trained_on": "train: rendered", "training": training}

@@ -8,7 +8,7 @@ from msgspec import Struct
 
 from skyproof.assessment.suite import Suite
 from skyproof.console import say
-from skyproof.detectors.card import read_card_and_digest
+from skyproof.detectors.card import read_card
 from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS, reference_folder
 from skyproof.documents import read_document
 from skyproof.files import write_json
@@ -146,8 +146,6 @@ def _is_reference(layout: Layout, name: str) -> bool:
     """Whether a run's detector is a reference detector, and not another one of its name."""
     if name not in REFERENCE_DETECTORS:
         return False
-    own, reference = (
-        read_card_and_digest(folder / "detector.json")
-        for folder in (layout.detector(name), reference_folder(name))
-    )
-    return (own[0].threshold, own[1]) == (reference[0].threshold, reference[1])
+    own = read_card(layout.detector(name))
+    reference = read_card(reference_folder(name))
+    return (own.threshold, own.weights_sha256) == (reference.threshold, reference.weights_sha256)

@@ -34,7 +34,7 @@ from skyproof.errors import ConfigurationError
 from skyproof.ranges import check_ranges
 
 if TYPE_CHECKING:
-    from skyproof.detectors.answers import Answering
+    from skyproof.detectors.answers import Answering, BlackBoxDetector
     from skyproof.detectors.detector import Detector
 
 _SCORED_AT_ONCE = 24
@@ -75,7 +75,7 @@ def assess_steps(its: Subject) -> Iterator[Step]:
 
 
 def run_assessment(
-    request: Request, suite_file: Path = SUITE, black_box: Detector | None = None
+    request: Request, suite_file: Path = SUITE, black_box: BlackBoxDetector | None = None
 ) -> Path:
     """Does all steps that are not finished yet, and prints the answer; returns the report's path.
 
@@ -210,7 +210,7 @@ def assess(
     return run_assessment(request, black_box=black_box)
 
 
-def _subject(request: Request, suite: Suite, black_box: Detector | None) -> Subject:
+def _subject(request: Request, suite: Suite, black_box: BlackBoxDetector | None) -> Subject:
     """Reads what detectors and labels say of themselves, after mistakes were looked for.
 
     Raises:

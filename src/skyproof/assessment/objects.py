@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from skyproof.detectors.answers import CheckedAnswers
+from skyproof.detectors.answers import BlackBoxDetector
 from skyproof.errors import ConfigurationError
 from skyproof.maite.models import ModelDetector, is_maite_model
 
 
 def checked_object(
     detector: object, name: str | None, vehicle_classes: Sequence[str], architecture: str | None
-) -> CheckedAnswers:
+) -> BlackBoxDetector:
     """Returns the object as a detector, with its answers checked.
 
     Raises:
@@ -27,4 +27,4 @@ def checked_object(
                 f"{option} is for checkpoint files, and the detector is an object, which decides "
                 "it itself; leave the option out."
             )
-    return CheckedAnswers(detector, name)
+    return BlackBoxDetector(detector, name)

@@ -190,7 +190,7 @@ def brought(its: Subject, name: str, place: Path | None, validation: Path) -> St
             assert its.black_box is not None
             card = frozen_card(its.black_box, images)
             out.mkdir(parents=True, exist_ok=True)
-            write_card(out / "detector.json", card, "")
+            write_card(out / "detector.json", card)
         else:
             kind = "torchvision" if request.architecture else "ultralytics"
             checkpoint = Checkpoint(place, kind, request.vehicle_classes, request.architecture)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -18,9 +17,10 @@ from skyproof.assessment.suite import Suite
 from skyproof.attacks.world import World
 from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.palette import ground_palette
+from skyproof.detectors.answers import BlackBoxDetector
 from skyproof.detectors.card import read_card
-from skyproof.detectors.detector import Detector
-from skyproof.detectors.loaded import LoadedDetector, load_detector, load_ensemble
+from skyproof.detectors.detector import Detector, TrainableDetector
+from skyproof.detectors.loaded import load_detector, load_ensemble
 from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS, reference_folder
 from skyproof.layout import Layout
 from skyproof.scenes.places import Places
@@ -49,7 +49,7 @@ class Subject:
     gsd_m: float
     device: torch.device
     sources: Mapping[str, str]
-    black_box: Detector | None = None
+    black_box: BlackBoxDetector | None = None
 
     @property
     def layout(self) -> Layout:
@@ -96,20 +96,23 @@ class Subject:
         """The cards that stand for the detectors in the run folder."""
         return [self.layout.detector(name) / "detector.json" for name in self.names]
 
-    def load(self, folder: Path) -> LoadedDetector[Any]:
-        """Loads a detector anew; of a black box the object, under the card of its folder."""
-        if self.black_box is not None and folder == self.layout.detector(self.names[0]):
-            return LoadedDetector(self.black_box, read_card(folder))
+    def load(self, folder: Path) -> Detector:
+        """Loads a detector of the run folder; a black-box detector gets the card of its folder."""
+        if self.black_box is not None:
+            self.black_box.set_card(read_card(folder))
+            return self.black_box
         return load_detector(folder)
 
     @cached_property
-    def detectors(self) -> list[LoadedDetector[Any]]:
+    def detectors(self) -> Sequence[Detector]:
         """The detectors of the run folder, on the device."""
         folders = [self.layout.detector(name) for name in self.names]
-        return load_ensemble(folders, self.device, self.gsd_m, self.load)
+        if self.black_box is not None:
+            return [self.load(folders[0])]
+        return load_ensemble(folders, self.device, self.gsd_m)
 
     @cached_property
-    def references(self) -> list[LoadedDetector[Any]]:
+    def references(self) -> Sequence[TrainableDetector]:
         """The detectors that come with skyproof, on the device."""
         folders = [reference_folder(name) for name in REFERENCE_DETECTORS]
         return load_ensemble(folders, self.device, self.gsd_m)

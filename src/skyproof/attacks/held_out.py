@@ -8,15 +8,13 @@ from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float
-from torch import Tensor, nn
+from torch import Tensor
 
 from skyproof.attacks.objective import target_scores
 from skyproof.attacks.world import World
 from skyproof.camouflage.camouflage import Camouflage
-from skyproof.detectors.detector import Detector, TrainableDetector
+from skyproof.detectors.detector import Detector
 from skyproof.detectors.inference import device_of
-from skyproof.detectors.loaded import LoadedDetector
-from skyproof.detectors.weights import weights_digest
 from skyproof.errors import ConfigurationError
 from skyproof.scenes.scene import Scene
 
@@ -51,7 +49,7 @@ class HeldOut:
 
     def __init__(
         self,
-        detectors: Sequence[LoadedDetector[Detector | TrainableDetector]],
+        detectors: Sequence[Detector],
         world: World,
         seed: int,
         batch_size: int = BATCH_SIZE,
@@ -64,13 +62,7 @@ class HeldOut:
     @cached_property
     def identity(self) -> dict[str, Any]:
         """By detector the digest of its weights, if it has any, and its threshold."""
-        return {
-            each.name: [
-                weights_digest(each.detector) if isinstance(each.detector, nn.Module) else "",
-                each.threshold,
-            ]
-            for each in self._detectors
-        }
+        return {each.name: [each.weights_sha256, each.threshold] for each in self._detectors}
 
     def scenes(self, batches: int = BATCHES) -> int:
         """Returns the number of scenes in so many batches."""
@@ -116,11 +108,11 @@ class HeldOut:
         self, camouflage: Camouflage | None, batches: int
     ) -> dict[str, Float[Tensor, " scenes"]]:
         """Each detector's best score on the vehicle of every scene."""
-        device = device_of(self._detectors[0].detector)
+        device = device_of(self._detectors[0])
         gsd_m = self._world.backgrounds.gsd_m
         scores: dict[str, list[Tensor]] = {each.name: [] for each in self._detectors}
         for scenes in self._batches[:batches]:
             frames = self._world.frames(camouflage, scenes, device)
             for each in self._detectors:
-                scores[each.name].append(target_scores(each.detector, frames, gsd_m))
+                scores[each.name].append(target_scores(each, frames, gsd_m))
         return {name: torch.cat(parts) for name, parts in scores.items()}

@@ -25,7 +25,7 @@ from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.folder import read_record, save_camouflage
 from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.settings import CamouflageSettings
-from skyproof.detectors.loaded import LoadedDetector
+from skyproof.detectors.detector import Detector, TrainableDetector
 from skyproof.detectors.weights import weights_digest
 from skyproof.files import drop_empty_folder, finished_folder
 from skyproof.loop import refuse_other
@@ -79,7 +79,7 @@ class Maker:
         camouflage: numbers that the names leave open.
     """
 
-    detectors: Sequence[LoadedDetector[Any]]
+    detectors: Sequence[Detector]
     world: World
     settings: AttackSettings
     device: torch.device
@@ -152,7 +152,7 @@ class Maker:
             texture=texture,
             settings=self.camouflage,
         ).to(self.device)
-        models = [each.detector for each in self.detectors]
+        models = [each for each in self.detectors if isinstance(each, TrainableDetector)]
         settings = self.settings.of_search() if name.random else self.settings
 
         def signs() -> dict[str, Any]:

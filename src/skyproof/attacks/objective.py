@@ -10,7 +10,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skyproof.detectors.answers import checked
 from skyproof.detectors.detector import Candidates, Detector, TrainableDetector
 from skyproof.detectors.matching import CENTRE_DISTANCE_M
 from skyproof.detectors.weights import weights_digest
@@ -110,12 +109,10 @@ def target_scores(
     return candidates.scores.masked_fill(~near, 0.0).amax(1)
 
 
-def _candidates(
-    detector: Detector | TrainableDetector, images: Float[Tensor, "B 3 H W"]
-) -> Candidates:
+def _candidates(detector: Detector, images: Float[Tensor, "B 3 H W"]) -> Candidates:
     if isinstance(detector, TrainableDetector):
         return detector.candidates(images)
-    found = checked(detector).detect(images)
+    found = detector.detect(images)
     # One row of padding at least, for images in which nothing is found.
     rows = 1 + max(len(each.scores) for each in found)
     boxes = images.new_zeros(len(images), rows, 4)

@@ -27,7 +27,6 @@ from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.folder import load_camouflage, read_record, save_camouflage
 from skyproof.camouflage.texture import UniversalTexture
 from skyproof.detectors.detector import Detector
-from skyproof.detectors.loaded import LoadedDetector
 from skyproof.detectors.weights import weights_digest
 from skyproof.documents import check_document
 from skyproof.errors import ConfigurationError, StoredFileError
@@ -100,7 +99,7 @@ class _RandomChanges:
 
 def query_attack(
     start: Camouflage,
-    detector: LoadedDetector[Detector],
+    detector: Detector,
     world: World,
     settings: QuerySettings,
     folder: str | Path,
@@ -227,7 +226,7 @@ def _stored_scores(row: Mapping[str, Any], count: int, folder: Path) -> list[flo
 @torch.no_grad()
 def _try(
     candidates: Sequence[Camouflage],
-    detector: LoadedDetector[Detector],
+    detector: Detector,
     world: World,
     settings: QuerySettings,
     step: int,
@@ -236,4 +235,4 @@ def _try(
     scenes = world.step_scenes(settings.batch_size, settings.seed, step)
     gsd_m = world.backgrounds.gsd_m
     frames = (world.frames(candidate, scenes) for candidate in candidates)
-    return [float(target_scores(detector.detector, each, gsd_m).mean()) for each in frames]
+    return [float(target_scores(detector, each, gsd_m).mean()) for each in frames]

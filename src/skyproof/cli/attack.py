@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     import torch
 
     from skyproof.camouflage.camouflage import Camouflage
-    from skyproof.detectors.loaded import Load
 
 BEST_OF = 32
 """Of how many random draws the best is taken, where it is not said."""
@@ -81,13 +80,8 @@ class Attack:
     settings: AttackSettings = field(default_factory=AttackSettings)
     device: str = "auto"
 
-    def run(self, load: Load | None = None) -> None:
-        """Makes what is not finished yet.
-
-        Args:
-            load: gives the detector of a folder, where a folder alone does not hold it; such a one
-                chooses, and cannot be learnt from.
-        """
+    def run(self) -> None:
+        """Makes what is not finished yet."""
         names = [CamouflageName.parse(name) for name in self.names]
         if not names:
             raise ConfigurationError("Expected at least one name of a camouflage, such as T-U.")
@@ -106,7 +100,7 @@ class Attack:
         if drawn:
             self._draw(drawn, palette)
         if learnt:
-            self._learn(learnt, palette, load)
+            self._learn(learnt, palette)
         say(f"Camouflages: {self.out.resolve()} ({', '.join(map(str, names))})")
 
     def _check_scenes(self, name: CamouflageName) -> None:
@@ -163,7 +157,6 @@ class Attack:
         self,
         names: Sequence[CamouflageName],
         palette: torch.Tensor | None,
-        load: Load | None,
     ) -> None:
         """Attacks, each after a sign test of its gradient, or chooses."""
         from skyproof.attacks.making import Maker
@@ -182,7 +175,7 @@ class Attack:
             conditions=self.conditions,
             places=self.places,
         )
-        ensemble = load_ensemble(self.detectors, device, world.backgrounds.gsd_m, load)
+        ensemble = load_ensemble(self.detectors, device, world.backgrounds.gsd_m)
         maker = Maker(ensemble, world, self.settings, device, palette, self.camouflage)
         for name in names:
             folder = self.out / str(name)

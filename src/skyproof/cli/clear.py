@@ -14,7 +14,6 @@ from skyproof.files import alone, finished_folder, refuse_existing
 from skyproof.imagery.settings import ClearSettings
 
 if TYPE_CHECKING:
-    from skyproof.detectors.loaded import Load
     from skyproof.imagery.clearing.vehicle_finder import VehicleFinder
 
 
@@ -55,12 +54,8 @@ class Clear:
                 f"folder, got {'neither' if self.out is None else 'both'}."
             )
 
-    def run(self, load: Load | None = None) -> None:
-        """Clears the folder, or takes rejected tiles out of it.
-
-        Args:
-            load: gives the detector of a folder, where a folder alone does not hold it.
-        """
+    def run(self) -> None:
+        """Clears the folder, or takes rejected tiles out of it."""
         from skyproof.imagery.clearing.clear import clear_backgrounds
         from skyproof.imagery.clearing.words import cleared_words
 
@@ -68,10 +63,10 @@ class Clear:
             self._reject()
             return
         refuse_existing(self.out)
-        finder = _finder(self.detector, self.device, load)
+        finder = _finder(self.detector, self.device)
         checker = finder
         if self.check_detector is not None:
-            checker = _finder(self.check_detector, self.device, load)
+            checker = _finder(self.check_detector, self.device)
         elif self.detector is not None and (failed := _failed_check(self.detector)):
             say(failed)
             checker = None
@@ -119,12 +114,11 @@ def _failed_check(folder: Path) -> str | None:
     )
 
 
-def _finder(folder: Path | None, device: str, load: Load | None) -> VehicleFinder | None:
+def _finder(folder: Path | None, device: str) -> VehicleFinder | None:
     from skyproof.detectors.loaded import load_detector
     from skyproof.device import choose_device
     from skyproof.imagery.clearing.vehicle_finder import VehicleFinder
 
     if folder is None:
         return None
-    loaded = (load or load_detector)(folder)
-    return VehicleFinder.of_folder(loaded, folder, choose_device(device))
+    return VehicleFinder.of_folder(load_detector(folder), folder, choose_device(device))

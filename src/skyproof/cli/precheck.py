@@ -17,7 +17,6 @@ from skyproof.ranges import Count, Seed
 if TYPE_CHECKING:
     import torch
 
-    from skyproof.detectors.loaded import Load
     from skyproof.measure.baseline import BaselineSet
     from skyproof.results.precheck import MeasuredOn, PrecheckRecord
     from skyproof.scenes.backgrounds import BackgroundSet
@@ -69,12 +68,8 @@ class Precheck:
     seed: Seed = 0
     device: str = "auto"
 
-    def run(self, load: Load | None = None) -> None:
-        """Checks the detectors, stores what was found beside their cards, and prints it.
-
-        Args:
-            load: gives the detector of a folder, where a folder alone does not hold it.
-        """
+    def run(self) -> None:
+        """Checks the detectors, stores what was found beside their cards, and prints it."""
         if not self.detectors:
             raise ConfigurationError("A precheck expects at least one detector folder, got none.")
         if self.freeze is not None:
@@ -96,7 +91,7 @@ class Precheck:
         fleet = Fleet.load(self.fleet)
         scenes = self._scenes(backgrounds, fleet)
         frames = read_frames(self.frames, self.frame_classes, backgrounds.gsd_m)
-        records = self._checked(device, backgrounds, fleet, scenes, frames, load)
+        records = self._checked(device, backgrounds, fleet, scenes, frames)
         for folder, record in zip(self.detectors, records, strict=True):
             for line in lines(record, read_card(folder).doubts):
                 say(line)
@@ -129,7 +124,6 @@ class Precheck:
         fleet: Fleet,
         scenes: Sequence[Scene],
         frames: Sequence[BaselineSet],
-        load: Load | None,
     ) -> list[PrecheckRecord]:
         """Every detector's record: those that are there, and those that are made here."""
         from skyproof.detectors.loaded import load_apart
@@ -146,10 +140,10 @@ class Precheck:
         }
         open_ones = [folder for folder in self.detectors if folder not in records]
         if open_ones:
-            judges = load_apart(open_ones, device, backgrounds.gsd_m, load)
+            detectors = load_apart(open_ones, device, backgrounds.gsd_m)
             with progress_bar("precheck") as update:
                 made = precheck(
-                    judges,
+                    detectors,
                     backgrounds,
                     fleet,
                     scenes,
@@ -189,13 +183,13 @@ def _known(folder: Path, wanted: MeasuredOn) -> PrecheckRecord:
     Raises:
         RunFolderError: it is of another detector, or was measured on something else.
     """
-    from skyproof.detectors.card import read_card_and_digest
+    from skyproof.detectors.card import read_card
     from skyproof.results.precheck import PRECHECK_FILE, read_precheck
 
     record = read_precheck(folder)
-    card, digest = read_card_and_digest(folder / "detector.json")
+    card = read_card(folder)
     differing = wanted.differing(record.measured_on)
-    if (record.weights_sha256, record.threshold) != (digest, card.threshold):
+    if (record.weights_sha256, record.threshold) != (card.weights_sha256, card.threshold):
         differing = ["weights or threshold"]
     if differing:
         raise RunFolderError(

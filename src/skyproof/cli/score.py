@@ -16,7 +16,6 @@ from skyproof.ranges import Seed, is_name
 if TYPE_CHECKING:
     import torch
 
-    from skyproof.detectors.loaded import Load
     from skyproof.measure.views import Stage
     from skyproof.scenes.scene import Scene
 
@@ -56,8 +55,8 @@ class Score(Rendering):
     seed: Seed = 0
     device: str = "auto"
 
-    def run(self, load: Load | None = None) -> None:
-        """Measures, and prints success rates and baselines; `load` as of `Precheck.run`."""
+    def run(self) -> None:
+        """Measures, and prints success rates and baselines."""
         from skyproof.camouflage.folder import load_camouflage
         from skyproof.console import progress_bar
         from skyproof.datasets.dataset import Dataset
@@ -77,7 +76,7 @@ class Score(Rendering):
         gsd_m = read_card(self.detectors[0]).gsd_m if original is None else original.gsd_m
         # Detectors of one kind can stand in one table of baselines, told apart by their folders.
         load_all = load_apart if original is None else load_ensemble
-        detectors = load_all(self.detectors, device, gsd_m, load)
+        detectors = load_all(self.detectors, device, gsd_m)
         baselines = read_frames(self.frames, self.frame_classes, gsd_m)
         worn = {folder: load_camouflage(folder) for folder in self.camouflages}
         scenes = [] if original is None else original.scenes

@@ -10,8 +10,9 @@ from typing import Any
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
+from skyproof.detectors.card import DetectorCard
 from skyproof.detectors.detector import Detections, Detector
 from skyproof.errors import ConfigurationError, DetectorAnswerError, SkyproofError
 from skyproof.ranges import is_name
@@ -21,11 +22,11 @@ _GO_ON = "the same command goes on where it stopped"
 
 
 Answering = Callable[[Any], Sequence[object]]
-"""A function from images to the boxes and scores of each; see `CheckedAnswers`."""
+"""A function from images to the boxes and scores of each; see `BlackBoxDetector`."""
 
 
-class CheckedAnswers:
-    """Asks a callable and returns its answers in the form that the rest of skyproof expects.
+class BlackBoxDetector(Detector):
+    """A detector known only by its detections, which are checked.
 
     The callable, or the method `detect` of an object, takes sRGB images `[B, 3, H, W]` in [0, 1]
     and gives boxes `[K, 4]` (left, top, right, bottom in pixels) and scores `[K]` in [0, 1] of each
@@ -34,19 +35,19 @@ class CheckedAnswers:
     Args:
         detector: the callable, or the object.
         name: its name in tables; its own `name` or `__name__` if None.
-
-    Attributes:
-        name: its name in tables.
-        images: number of images shown so far.
+        card: its threshold and resolution, and its name; None before a threshold is frozen.
 
     Raises:
         ConfigurationError: it cannot be called, or has no name that can be a file's.
     """
 
-    def __init__(self, detector: object, name: str | None = None) -> None:
+    def __init__(
+        self, detector: object, name: str | None = None, card: DetectorCard | None = None
+    ) -> None:
         own = getattr(detector, "name", None) or getattr(detector, "__name__", "").strip("<>")
-        self.name: str = own if name is None else name
-        self.images = 0
+        self.name = own if name is None else name
+        if card is not None:
+            self.set_card(card)
         self._detect: Any = getattr(detector, "detect", detector)
         if not callable(self._detect) or not isinstance(self.name, str) or not is_name(self.name):
             raise ConfigurationError(
@@ -72,7 +73,6 @@ class CheckedAnswers:
                 f"The detector {self.name} did not answer ({_in_short(error)}); see that it runs, "
                 f"and {_GO_ON}."
             ) from error
-        self.images += len(images)
         if not isinstance(answers, Sequence) or len(answers) != len(images):
             count = len(answers) if isinstance(answers, Sequence) else type(answers).__name__
             raise self._wrong(f"{len(images)} images expect as many answers", f"{count}")
@@ -117,12 +117,6 @@ class CheckedAnswers:
             f"The detector {self.name} gave an answer that cannot be one: {expected}, got {got}; "
             f"correct it, and {_GO_ON}."
         )
-
-
-def checked(detector: Detector) -> Detector:
-    """Wraps a detector of somebody else's in `CheckedAnswers`, unless it already is."""
-    ours = isinstance(detector, nn.Module) and isinstance(detector, Detector)
-    return detector if ours or isinstance(detector, CheckedAnswers) else CheckedAnswers(detector)
 
 
 def _parts(answer: Any) -> tuple[Any, Any]:

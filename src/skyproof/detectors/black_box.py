@@ -3,31 +3,32 @@
 from __future__ import annotations
 
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.answers import CheckedAnswers
+from skyproof.detectors.answers import BlackBoxDetector
 from skyproof.detectors.card import DetectorCard, installed_version
 from skyproof.detectors.detector import Detector
 from skyproof.detectors.inference import WINDOW_PX
-from skyproof.detectors.loaded import LoadedDetector
 from skyproof.detectors.training import check_validation, validate
 from skyproof.errors import ConfigurationError
 
 
 def open_black_box(
     detector: object, labelled: Dataset | None, name: str | None = None
-) -> LoadedDetector[Detector]:
-    """Freezes a callable's threshold on labelled images; see `CheckedAnswers`.
+) -> BlackBoxDetector:
+    """Freezes a callable's threshold on labelled images; see `BlackBoxDetector`.
 
     Raises:
         ConfigurationError: the callable has no plain name, no image or vehicle is given, or it
             finds none.
         DetectorAnswerError: it does not answer, or its answer is impossible.
     """
-    box = CheckedAnswers(detector, name)
+    black_box = BlackBoxDetector(detector, name)
     if labelled is None:
         raise ConfigurationError(
-            f"The threshold of {box.name} is frozen on labelled images, got none; give a Dataset."
+            f"The threshold of {black_box.name} is frozen on labelled images, got none; give a "
+            "Dataset."
         )
-    return LoadedDetector(box, frozen_card(box, labelled))
+    black_box.set_card(frozen_card(black_box, labelled))
+    return black_box
 
 
 def frozen_card(detector: Detector, labelled: Dataset) -> DetectorCard:

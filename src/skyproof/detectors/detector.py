@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torchvision import ops
+
+from skyproof.detectors.card import DetectorCard
+from skyproof.detectors.weights import weights_digest
 
 LOWEST_SCORE = 0.01
 _MOST_DETECTIONS = 100
@@ -47,14 +49,18 @@ class Candidates:
     valid: Bool[Tensor, "B K"]
 
 
-@runtime_checkable
-class Detector(Protocol):
-    """A black box is enough: a name, and boxes with scores.
+class Detector:
+    """A detector with its card: it finds vehicles, and the card says what its scores mean.
 
     The detector scales and normalises images itself.
+
+    Attributes:
+        name: name in tables and file names.
+        card: frozen threshold, resolution and origin; not set before a threshold is frozen.
     """
 
     name: str
+    card: DetectorCard
 
     def detect(self, images: Float[Tensor, "B 3 H W"]) -> list[Detections]:
         """Finds vehicles in sRGB images in [0, 1].
@@ -62,14 +68,33 @@ class Detector(Protocol):
         Returns:
             Every detection of each image with score >= 0.01, after suppression.
         """
-        ...
+        raise NotImplementedError
+
+    @property
+    def threshold(self) -> float:
+        """The frozen score at or above which a detection counts."""
+        return self.card.threshold
+
+    @property
+    def weights_sha256(self) -> str:
+        """Digest of the weights in use; empty for a black-box detector."""
+        return ""
+
+    def set_card(self, card: DetectorCard) -> None:
+        """Gives the detector a card, and its name with it."""
+        self.name = card.name
+        self.card = card
 
 
-class TrainableDetector(nn.Module):
+class TrainableDetector(nn.Module, Detector):
     """A detector with its own loss, which can be trained and attacked."""
 
-    name: str
     size: str
+
+    @property
+    def weights_sha256(self) -> str:
+        """Digest of parameters and buffers; an attack leaves it unchanged."""
+        return weights_digest(self)
 
     def loss(
         self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]

@@ -13,7 +13,6 @@ from torchvision import ops
 from skyproof.datasets.ahead import made_ahead
 from skyproof.datasets.dataset import Dataset
 from skyproof.datasets.pictures import Picture, Window
-from skyproof.detectors.answers import checked
 from skyproof.detectors.detector import SUPPRESSION_IOU, Detections, Detector
 
 LARGEST_WHOLE_PX = 1024
@@ -79,7 +78,7 @@ def detect_batch(detector: Detector, images: UInt8[Tensor, "B 3 H W"]) -> list[D
     Raises:
         DetectorAnswerError: a black-box detector failed, or its answer is impossible.
     """
-    return checked(detector).detect(to_detector(detector, images))
+    return detector.detect(to_detector(detector, images))
 
 
 def to_detector(detector: object, images: UInt8[Tensor, "B 3 H W"]) -> Float[Tensor, "B 3 H W"]:

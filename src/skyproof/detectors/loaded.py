@@ -3,52 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Generic, TypeVar, overload
+from typing import overload
 
 import torch
-from torch import nn
 
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.answers import Answering
+from skyproof.detectors.answers import Answering, BlackBoxDetector
 from skyproof.detectors.build import DETECTOR_NAMES, build_detector
-from skyproof.detectors.card import DetectorCard, read_card_and_digest, write_card
-from skyproof.detectors.detector import Detector, TrainableDetector
+from skyproof.detectors.card import DetectorCard, read_card, write_card
+from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.reference_detectors import detector_folder, reinstalled
 from skyproof.detectors.settings import SIZES
-from skyproof.detectors.weights import plain_state, weights_digest
+from skyproof.detectors.weights import plain_state
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import inside, write_bytes
 from skyproof.storage import read_tensors, write_tensors
-
-DetectorT_co = TypeVar("DetectorT_co", bound=Detector, covariant=True)
-
-
-@dataclass(frozen=True)
-class LoadedDetector(Generic[DetectorT_co]):
-    """A detector and its card: the object that finds vehicles, and the meaning of its scores.
-
-    `load_detector` makes one from a folder or from a callable.
-
-    Attributes:
-        detector: the network, or any object with `detect`.
-        card: its name, frozen threshold, resolution and origin.
-    """
-
-    detector: DetectorT_co
-    card: DetectorCard
-
-    @property
-    def name(self) -> str:
-        """The detector's name in tables and file names."""
-        return self.card.name
-
-    @property
-    def threshold(self) -> float:
-        """The frozen score at or above which a detection counts."""
-        return self.card.threshold
 
 
 def save_detector(folder: Path, detector: TrainableDetector, card: DetectorCard) -> None:
@@ -60,7 +32,7 @@ def save_detector(folder: Path, detector: TrainableDetector, card: DetectorCard)
     folder = Path(folder)
     write_tensors(folder / "weights.safetensors", plain_state(detector))
     # The digest ties both files together, so that a foreign weights file is noticed.
-    write_card(folder / "detector.json", card, weights_digest(detector))
+    write_card(folder / "detector.json", replace(card, weights_sha256=detector.weights_sha256))
 
 
 def copy_detector(folder: Path, out: Path, also: Sequence[str] = ()) -> None:
@@ -79,14 +51,14 @@ def copy_detector(folder: Path, out: Path, also: Sequence[str] = ()) -> None:
 
 
 @overload
-def load_detector(detector: str | Path) -> LoadedDetector[TrainableDetector]: ...
+def load_detector(detector: str | Path) -> TrainableDetector: ...
 @overload
 def load_detector(
     detector: Answering, labelled: Dataset, *, name: str | None = None
-) -> LoadedDetector[Detector]: ...
+) -> BlackBoxDetector: ...
 def load_detector(
     detector: str | Path | Answering, labelled: Dataset | None = None, *, name: str | None = None
-) -> LoadedDetector[Any]:
+) -> TrainableDetector | BlackBoxDetector:
     """Opens a detector folder on the CPU, or wraps a callable of somebody else's.
 
     Args:
@@ -110,8 +82,8 @@ def load_detector(
         return _load(place)
 
 
-def _load(folder: Path) -> LoadedDetector[TrainableDetector]:
-    card, stored_digest = read_card_and_digest(folder / "detector.json")
+def _load(folder: Path) -> TrainableDetector:
+    card = read_card(folder)
     path = folder / "weights.safetensors"
     tensors, _ = read_tensors(path, "copy the whole folder again, or train the detector again")
     try:
@@ -133,71 +105,56 @@ def _load(folder: Path) -> LoadedDetector[TrainableDetector]:
             f"{path} does not fit a {card.size} {card.name} of this version; copy the whole folder "
             "again, or train or import the detector again."
         ) from error
-    if weights_digest(detector) != stored_digest:
+    if detector.weights_sha256 != card.weights_sha256:
         raise StoredFileError(
             f"{path} is not the file that detector.json was written for; copy the whole folder "
             "again."
         )
-    return LoadedDetector(detector.eval(), card)
-
-
-Load = Callable[[Path], LoadedDetector[Any]]
-"""Opens the detector of a folder: `load_detector`, or a function that also opens black boxes."""
+    detector.set_card(card)
+    return detector.eval()
 
 
 def load_ensemble(
-    folders: Sequence[Path],
-    device: torch.device | str,
-    gsd_m: float,
-    load: Load | None = None,
-) -> list[LoadedDetector[Any]]:
+    folders: Sequence[Path], device: torch.device | str, gsd_m: float
+) -> list[TrainableDetector]:
     """Loads detectors that will see the same images, onto the device they will run on.
-
-    `load` opens a detector that a folder alone does not hold.
 
     Raises:
         ConfigurationError: two share a name, or one has another resolution than the images.
         StoredFileError: a folder is missing, damaged or of another version.
     """
-    ensemble: list[LoadedDetector[Any]] = []
+    ensemble: list[TrainableDetector] = []
     for folder in folders:
-        loaded = (load or load_detector)(folder)
-        if any(loaded.name == other.name for other in ensemble):
+        detector = load_detector(folder)
+        if any(detector.name == other.name for other in ensemble):
             raise ConfigurationError(
-                f"{folder} is a second {loaded.name}; give each kind of detector once."
+                f"{folder} is a second {detector.name}; give each kind of detector once."
             )
-        if not math.isclose(loaded.card.gsd_m, gsd_m):
+        if not math.isclose(detector.card.gsd_m, gsd_m):
             raise ConfigurationError(
-                f"{folder} was trained at {loaded.card.gsd_m} m per pixel but the images have "
+                f"{folder} was trained at {detector.card.gsd_m} m per pixel but the images have "
                 f"{gsd_m} m; give a detector and images of one resolution."
             )
-        if isinstance(loaded.detector, nn.Module):
-            # Convolutions on a CPU are faster in this layout.
-            loaded.detector.to(device).to(memory_format=torch.channels_last)
-        ensemble.append(loaded)
+        # Convolutions on a CPU are faster in this layout.
+        ensemble.append(detector.to(device).to(memory_format=torch.channels_last))
     return ensemble
 
 
 def load_apart(
-    folders: Sequence[Path],
-    device: torch.device | str,
-    gsd_m: float,
-    load: Load | None = None,
-) -> list[LoadedDetector[Any]]:
+    folders: Sequence[Path], device: torch.device | str, gsd_m: float
+) -> list[TrainableDetector]:
     """Loads detectors that are used one by one; detectors of one kind take their folders' names.
 
     Raises:
         ConfigurationError: a detector has another resolution than the images.
         StoredFileError: a folder is missing, damaged or of another version.
     """
-    judges = [load_ensemble([folder], device, gsd_m, load)[0] for folder in folders]
-    names = [judge.name for judge in judges]
-    return [
-        judge
-        if names.count(judge.name) == 1
-        else LoadedDetector(judge.detector, replace(judge.card, name=folder.name))
-        for folder, judge in zip(folders, judges, strict=True)
-    ]
+    detectors = [load_ensemble([folder], device, gsd_m)[0] for folder in folders]
+    names = [detector.name for detector in detectors]
+    for folder, detector in zip(folders, detectors, strict=True):
+        if names.count(detector.name) > 1:
+            detector.set_card(replace(detector.card, name=folder.name))
+    return detectors
 
 
 def _of_card(card: DetectorCard) -> TrainableDetector:

@@ -8,13 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from skyproof.errors import ConfigurationError, StoredFileError
-
-if TYPE_CHECKING:
-    from skyproof.detectors.detector import TrainableDetector
-    from skyproof.detectors.loaded import LoadedDetector
 
 REFERENCE_DETECTORS = ("retinanet", "faster_rcnn")
 """YOLOv5 is trained on the user's machine, because its library has another licence."""
@@ -58,18 +53,3 @@ def reinstalled(folder: Path) -> Iterator[None]:
         raise StoredFileError(
             f"A detector that came with skyproof cannot be used: {wrong}; install skyproof again."
         ) from error
-
-
-def reference_detector(name: str) -> LoadedDetector[TrainableDetector]:
-    """Loads a detector that ships with skyproof; in eval mode, on the CPU.
-
-    "retinanet" and "faster_rcnn" are slim, for sRGB images at 12.5 cm per pixel.
-
-    Raises:
-        ConfigurationError: there is none of that name.
-        StoredFileError: its files are missing, damaged or of another version.
-    """
-    # A late import, so that the command line can name the detectors without loading torch.
-    from skyproof.detectors.loaded import load_detector
-
-    return load_detector(reference_folder(name))

@@ -13,20 +13,20 @@ from skyproof.detectors.average_precision import frozen_threshold, precision_rec
 from skyproof.detectors.card import read_card
 from skyproof.detectors.detector import Detector
 from skyproof.detectors.inference import detect_all
-from skyproof.detectors.loaded import LoadedDetector, load_apart, save_detector
+from skyproof.detectors.loaded import load_ensemble, save_detector
 from skyproof.detectors.matching import match_images
 from skyproof.errors import ConfigurationError
 from skyproof.files import finished_folder
 
 
-def threshold_of_labels(detector: LoadedDetector[Detector], labelled: Sequence[Dataset]) -> float:
+def threshold_of_labels(detector: Detector, labelled: Sequence[Dataset]) -> float:
     """Returns the threshold to freeze by F1 (centre within 1 m) on labelled images.
 
     Raises:
         ConfigurationError: there is no vehicle, or the detector finds none.
     """
     images = Dataset.joined(labelled)
-    matches = match_images(detect_all(detector.detector, images), images, criterion="centre_1m")
+    matches = match_images(detect_all(detector, images), images, criterion="centre_1m")
     threshold, f1 = frozen_threshold(precision_recall(matches))
     if not f1:
         raise ConfigurationError(
@@ -57,9 +57,9 @@ def copy_with_threshold(
         RunFolderError: `out` exists, or the disk cannot take it.
     """
     with finished_folder(out) as partial:
-        (detector,) = load_apart([folder], device, read_card(folder).gsd_m)
+        (detector,) = load_ensemble([folder], device, read_card(folder).gsd_m)
         threshold = threshold_of_labels(detector, list(labelled.values()))
         how = f"the lowest within a point of the best F1 on labelled images ({', '.join(labelled)})"
         card = replace(detector.card, threshold=threshold, threshold_from=how)
-        save_detector(partial, detector.detector, card)
+        save_detector(partial, detector, card)
     return f"Threshold {threshold:.3f} instead of {detector.threshold:.3f}: {how}."

@@ -291,7 +291,7 @@ def _finished(detector: TrainableDetector, folder: Path, identity: dict[str, Any
         images = {key: told.get(key, identity[key]) for key in ("data_sha256", "validation_sha256")}
         known = {**images, **known}
     refuse_other(folder, known, identity, _OTHER)
-    detector.load_state_dict(stored.detector.state_dict())
+    detector.load_state_dict(stored.state_dict())
     detector.eval()
     return stored.card
 

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 from torchvision import ops
 
 from skyproof.datasets.dataset import Dataset
@@ -22,8 +22,7 @@ from skyproof.detectors.detector import (
     Detector,
 )
 from skyproof.detectors.inference import detect_all
-from skyproof.detectors.loaded import LoadedDetector, load_detector
-from skyproof.detectors.weights import weights_digest
+from skyproof.detectors.loaded import load_detector
 from skyproof.errors import ConfigurationError
 from skyproof.maite.targets import LABELS, Target, bytes_of, found_vehicles
 
@@ -45,12 +44,11 @@ class DetectorModel:
         StoredFileError: the folder is missing or damaged.
     """
 
-    def __init__(self, detector: str | Path | LoadedDetector[Detector]) -> None:
+    def __init__(self, detector: str | Path | Detector) -> None:
         loaded = load_detector(detector) if isinstance(detector, str | Path) else detector
         self._loaded = loaded
-        network = loaded.detector
-        weights = weights_digest(network) if isinstance(network, nn.Module) else ""
-        digest = hashlib.sha256(f"{weights} {loaded.threshold!r}".encode()).hexdigest()
+        identity = f"{loaded.weights_sha256} {loaded.threshold!r}"
+        digest = hashlib.sha256(identity.encode()).hexdigest()
         self.metadata: dict[str, Any] = {
             "id": f"{loaded.name}-{digest[:12]}",
             "index2label": dict(LABELS),
@@ -70,7 +68,7 @@ class DetectorModel:
         unknown = [torch.zeros(0, 4)] * len(images)
         shown = Dataset.of_images(images, unknown, gsd_m=self._loaded.card.gsd_m)
         with torch.no_grad():
-            found = detect_all(self._loaded.detector, shown)
+            found = detect_all(self._loaded, shown)
         return [Target.of(each.boxes, each.scores) for each in found]
 
 
@@ -115,7 +113,7 @@ def is_maite_model(thing: object) -> bool:
     metadata = getattr(thing, "metadata", None)
     return (
         callable(thing)
-        and not isinstance(thing, Detector)
+        and not hasattr(thing, "detect")
         and isinstance(metadata, Mapping)
         and "id" in metadata
     )

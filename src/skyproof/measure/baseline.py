@@ -14,7 +14,6 @@ from skyproof.detectors.average_precision import (
     precision_recall,
 )
 from skyproof.detectors.detector import Detector
-from skyproof.detectors.loaded import LoadedDetector
 from skyproof.detectors.matching import MatchTable
 from skyproof.errors import ConfigurationError
 from skyproof.measure.views import View, look
@@ -50,9 +49,7 @@ class BaselineSet:
     places: Sequence[str] = ()
 
 
-def measure_baseline(
-    detector: LoadedDetector[Detector], images: BaselineSet, view: View, *, seed: int
-) -> Baseline:
+def measure_baseline(detector: Detector, images: BaselineSet, view: View, *, seed: int) -> Baseline:
     """Says how good a detector is on images without camouflage.
 
     Intervals are over places; over images where all show one place, or none is known.
@@ -93,7 +90,7 @@ def measure_baseline(
 
 
 def measure_baselines(
-    detectors: Sequence[LoadedDetector[Detector]],
+    detectors: Sequence[Detector],
     sets: Sequence[BaselineSet],
     *,
     seed: int,

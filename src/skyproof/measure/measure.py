@@ -11,7 +11,6 @@ import torch
 
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.detectors.detector import Detector
-from skyproof.detectors.loaded import LoadedDetector
 from skyproof.detectors.matching import MatchTable
 from skyproof.measure.views import Change, Stage, View, counter, views
 from skyproof.render.frames import Renderer
@@ -23,7 +22,7 @@ _UNSEEN = (False, 0.0, math.nan)
 
 
 def measure(
-    detectors: Sequence[LoadedDetector[Detector]],
+    detectors: Sequence[Detector],
     scenes: Sequence[Scene],
     camouflages: Mapping[str, Camouflage],
     *,
@@ -75,7 +74,7 @@ def compare(
     scenes: Sequence[Scene],
     before: View,
     after: View,
-    detector: LoadedDetector[Detector],
+    detector: Detector,
     renderer: str,
     matches: Sequence[Match] = MATCHES,
 ) -> list[Outcome]:

@@ -9,12 +9,9 @@ from typing import Any
 import msgspec
 import numpy as np
 import torch
-from torch import nn
 
 from skyproof.camouflage.palette import ground_palette
 from skyproof.detectors.detector import Detector
-from skyproof.detectors.loaded import LoadedDetector
-from skyproof.detectors.weights import weights_digest
 from skyproof.errors import ConfigurationError
 from skyproof.measure.baseline import BaselineSet, measure_baseline, measure_baselines
 from skyproof.measure.measure import compare
@@ -33,7 +30,7 @@ from skyproof.vehicles.fleet import Fleet
 
 
 def precheck(
-    detectors: Sequence[LoadedDetector[Detector]],
+    detectors: Sequence[Detector],
     backgrounds: BackgroundSet,
     fleet: Fleet,
     scenes: Sequence[Scene],
@@ -94,7 +91,7 @@ def precheck(
     return [
         PrecheckRecord(
             each.name,
-            weights_digest(each.detector) if isinstance(each.detector, nn.Module) else "",
+            each.weights_sha256,
             each.threshold,
             on,
             [baseline for baseline in baselines if baseline.detector == each.name],
@@ -105,7 +102,7 @@ def precheck(
 
 
 def _rates(
-    detectors: Sequence[LoadedDetector[Detector]],
+    detectors: Sequence[Detector],
     scenes: Sequence[Scene],
     trials: Sequence[Trial],
     before: View,

@@ -9,7 +9,6 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.average_precision import average_precision
 from skyproof.detectors.detector import Detector
-from skyproof.detectors.loaded import LoadedDetector
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import finished_folder, write_beside
 from skyproof.measure.baseline import BaselineSet, measure_baseline, measure_baselines
@@ -33,7 +32,7 @@ from skyproof.scenes.scene import Scene
 
 
 def score(
-    detectors: Sequence[LoadedDetector[Detector]],
+    detectors: Sequence[Detector],
     folder: str | Path,
     scenes: Sequence[Scene] = (),
     changes: Sequence[Change] = (),
@@ -130,7 +129,7 @@ class _Writer:
     def __init__(
         self,
         folder: Path,
-        detectors: Sequence[LoadedDetector[Detector]],
+        detectors: Sequence[Detector],
         scenes: Sequence[Scene],
         renderer: str,
         before: View,
@@ -174,7 +173,7 @@ class _Writer:
         write_pairs(self._folder, self._pairs)
         return outcomes
 
-    def _set_scores(self, detector: LoadedDetector[Detector], view: View) -> list[SetScore]:
+    def _set_scores(self, detector: Detector, view: View) -> list[SetScore]:
         scores = []
         for match in MATCHES:
             matches = view.matched(detector.name, match)
@@ -191,9 +190,7 @@ class _Writer:
             )
         return scores
 
-    def _draw(
-        self, after: View, detector: LoadedDetector[Detector], outcomes: Sequence[Outcome]
-    ) -> None:
+    def _draw(self, after: View, detector: Detector, outcomes: Sequence[Outcome]) -> None:
         """Draws the chosen scenes of one camouflage; those without it are shared by all."""
         scenes: dict[str, list[Outcome]] = {}
         for outcome in outcomes:
@@ -223,7 +220,7 @@ class _Writer:
         self,
         view: View,
         scene: str,
-        detector: LoadedDetector[Detector],
+        detector: Detector,
         vehicles: dict[int, tuple[bool, float]],
     ) -> str:
         """Draws what a detector finds in one image, if it is not drawn yet; returns the file."""

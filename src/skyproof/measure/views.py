@@ -16,7 +16,6 @@ from skyproof.datasets.dataset import Dataset
 from skyproof.datasets.pictures import Picture, PictureInMemory, Window
 from skyproof.detectors.detector import Detections, Detector
 from skyproof.detectors.inference import detect_by_each
-from skyproof.detectors.loaded import LoadedDetector
 from skyproof.detectors.matching import MatchTable, match_images
 from skyproof.errors import ConfigurationError
 from skyproof.render.dataset import in_threads, placed_vehicles
@@ -115,7 +114,7 @@ class Stage:
 
 
 def views(
-    detectors: Sequence[LoadedDetector[Detector]],
+    detectors: Sequence[Detector],
     scenes: Sequence[Scene],
     changes: Iterable[Change],
     stage: Stage,
@@ -155,9 +154,9 @@ def views(
         yield _draw_and_look(detectors, scenes, change, stage, progress)
 
 
-def look(detectors: Sequence[LoadedDetector[Detector]], name: str, images: Dataset) -> View:
+def look(detectors: Sequence[Detector], name: str, images: Dataset) -> View:
     """Has every detector look at images that are there."""
-    found = detect_by_each([each.detector for each in detectors], images)
+    found = detect_by_each(detectors, images)
     names = [each.name for each in detectors]
     return View(name, images, dict(zip(names, found, strict=True)))
 
@@ -179,7 +178,7 @@ def counter(
 
 
 def _draw_and_look(
-    detectors: Sequence[LoadedDetector[Detector]],
+    detectors: Sequence[Detector],
     scenes: Sequence[Scene],
     change: Change,
     stage: Stage,
@@ -248,9 +247,7 @@ def _as_stored(boxes: Float[Tensor, "N 4"]) -> Float[Tensor, "N 4"]:
     return torch.cat([corner, corner + (boxes[:, 2:] - corner)], dim=1)
 
 
-def _refuse_what_cannot_work(
-    detectors: Sequence[LoadedDetector[Detector]], scenes: Sequence[Scene]
-) -> None:
+def _refuse_what_cannot_work(detectors: Sequence[Detector], scenes: Sequence[Scene]) -> None:
     if not detectors:
         raise ConfigurationError("Expected at least one detector, got none; give detector folders.")
     if not any(scene.placements for scene in scenes):
@@ -280,7 +277,7 @@ def refuse_twice(kind: str, names: Sequence[str]) -> None:
         )
 
 
-def _refuse_blind(detector: LoadedDetector[Detector], unchanged: View) -> None:
+def _refuse_blind(detector: Detector, unchanged: View) -> None:
     """Without a vehicle found before, there is no share of them that a change hides."""
     matches = unchanged.matched(detector.name, MAIN_MATCH)
     if not matches.vehicles:

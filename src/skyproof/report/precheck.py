@@ -104,7 +104,7 @@ def precheck_part(results: Results) -> PrecheckPart:
     notes = _elsewhere({name: records[name].measured_on for name in found}, results)
     for name in results.detectors:
         if name in results.cards:
-            notes += results.cards[name].doubts(detector_name(name))
+            notes += results.cards[name].doubts
     for name in found:
         notes += misfit_thresholds(records[name].sets)
     if any(state.outcome == "failed" for state in states):

@@ -15,7 +15,6 @@ from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.detector import Detector
 from skyproof.detectors.features import FeatureDetector
 from skyproof.detectors.inference import LARGEST_WHOLE_PX, to_detector
-from skyproof.detectors.loaded import LoadedDetector
 from skyproof.errors import ConfigurationError
 from skyproof.randomness import generator_of
 from skyproof.reproduction.stored_features import GROUND, Features
@@ -40,7 +39,7 @@ class _Boxes:
 
 
 def gather_features(
-    judges: Sequence[LoadedDetector[Detector]],
+    detectors: Sequence[Detector],
     original: Dataset,
     camouflaged: Mapping[str, Dataset],
     *,
@@ -53,7 +52,7 @@ def gather_features(
     a metre or more from every vehicle; where an image has no room for one, it is left out.
 
     Args:
-        judges: detectors with their cards; one that shows no features is passed over.
+        detectors: one that gives no features is passed over.
         original: images without camouflage.
         camouflaged: images of the same scenes by camouflage name.
         seed: of the places of the ground.
@@ -75,9 +74,9 @@ def gather_features(
         for shown, dataset in {ORIGINAL: original, **camouflaged}.items()
     ]
     return [
-        _features(judge.name, judge.detector, shown, dataset, places)
-        for judge in judges
-        if isinstance(judge.detector, FeatureDetector)
+        _features(detector.name, detector, shown, dataset, places)
+        for detector in detectors
+        if isinstance(detector, FeatureDetector)
         for shown, dataset, places in looks
     ]
 

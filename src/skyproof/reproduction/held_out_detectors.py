@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from skyproof.detectors.card import DetectorCard, read_card_and_digest
+from skyproof.detectors.card import DetectorCard, read_card
 from skyproof.detectors.reference_detectors import reference_folder
 from skyproof.errors import ConfigurationError, RunFolderError
 from skyproof.files import drop_empty_folder, finished_folder, is_leftover
@@ -32,12 +32,10 @@ class Judge:
     Attributes:
         folder: the detector folder.
         card: what is known of it.
-        weights_sha256: of its weights.
     """
 
     folder: Path
     card: DetectorCard
-    weights_sha256: str
 
     @classmethod
     def open(cls, folder: Path) -> Judge:
@@ -46,7 +44,7 @@ class Judge:
         Raises:
             StoredFileError: it is none.
         """
-        return cls(folder, *read_card_and_digest(folder / "detector.json"))
+        return cls(folder, read_card(folder))
 
     @property
     def name(self) -> str:
@@ -62,10 +60,8 @@ class Judge:
 
     def is_same(self, other: Judge) -> bool:
         """Says whether two folders hold one detector at one threshold."""
-        return (self.weights_sha256, self.card.threshold) == (
-            other.weights_sha256,
-            other.card.threshold,
-        )
+        own, theirs = self.card, other.card
+        return (own.weights_sha256, own.threshold) == (theirs.weights_sha256, theirs.threshold)
 
     def learnt_like(self, other: Judge) -> bool:
         """Says whether two learnt from the same images, as far as their cards tell."""

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from skyproof.camouflage.name import CamouflageName
+from skyproof.detectors.card import DetectorCard
 from skyproof.errors import ConfigurationError
 from skyproof.layout import Layout
 from skyproof.reproduction.cells import (
@@ -35,7 +36,7 @@ from skyproof.results.statistics.intervals import Interval
 from skyproof.results.statistics.rates import overall_attack_success_rate
 from skyproof.results.statistics.repeats import DRAWS, TRAININGS, Repeat
 from skyproof.results.statistics.sample import Sample
-from skyproof.results.stored import DetectorFacts, read_detectors
+from skyproof.results.stored import read_detectors
 from skyproof.words import detector_name
 
 
@@ -254,10 +255,10 @@ def _recipe(training: Training) -> str:
     """How long the detectors were trained, and on how much."""
     told = []
     for name, facts in training.detectors.items():
-        steps = facts.training.identity.settings.get("steps")
+        steps = facts.training_record.identity.settings.get("steps")
         if steps is not None:
             told.append(f"{detector_name(name)} {steps:,.0f} steps")
-    images = next((facts.training.images for facts in training.detectors.values()), None)
+    images = next((facts.training_record.images for facts in training.detectors.values()), None)
     if images is not None:
         told.append(f"{images:,} images")
     return ", ".join(told) or "not recorded"
@@ -268,7 +269,7 @@ def _standing(trainings: Sequence[Training]) -> str:
     told = []
     for name in trainings[0].detectors:
         facts = [training.detectors.get(name) for training in trainings]
-        scores = [None if each is None else each.validation.ap_centre_1m for each in facts]
+        scores = [None if each is None else each.validation.get("ap_centre_1m") for each in facts]
         shown = [number(None if score is None else 100 * score) for score in scores]
         told.append(f"{detector_name(name)} {', '.join(shown)}")
     return "AP in validation, in percent: " + "; ".join(told)
@@ -290,7 +291,7 @@ class Training:
 
     number: int
     tiles: TileCounts
-    detectors: Mapping[str, DetectorFacts]
+    detectors: Mapping[str, DetectorCard]
 
 
 def read_trainings(results: Results) -> list[Training]:
@@ -354,8 +355,8 @@ def _refuse_other_data(earlier: Training, training: Training) -> None:
             )
 
 
-def _learnt_from(facts: DetectorFacts) -> dict[str, Any]:
-    recipe = facts.training
+def _learnt_from(facts: DetectorCard) -> dict[str, Any]:
+    recipe = facts.training_record
     return {
         "number of training images": recipe.images,
         "training images": recipe.data_sha256,

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct
 
+from skyproof.detectors.card import read_card
 from skyproof.documents import read_document
 from skyproof.errors import StoredFileError
 from skyproof.files import new_file, write_json
@@ -182,7 +183,7 @@ def read_prechecks(detectors: Path) -> dict[str, PrecheckRecord]:
     records = {}
     for path in sorted(Path(detectors).glob(f"*/{PRECHECK_FILE}")):
         record = read_precheck(path.parent)
-        card: _Card = read_document(path.parent / "detector.json", _Card, _REMEDY)
+        card = read_card(path.parent)
         if (record.weights_sha256, record.threshold) == (card.weights_sha256, card.threshold):
             records[record.detector] = record
     return records
@@ -190,13 +191,6 @@ def read_prechecks(detectors: Path) -> dict[str, PrecheckRecord]:
 
 _BaselineRow: Any = row_form(Baseline)
 _RateRow: Any = row_form(Rate)
-
-
-class _Card(Struct, frozen=True):
-    """What ties a record to the detector beside it."""
-
-    threshold: Fraction
-    weights_sha256: _Digest = ""
 
 
 class _Document(Struct, frozen=True):

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from skyproof.camouflage.name import CamouflageName
+from skyproof.detectors.card import DetectorCard
 from skyproof.files import inside, write_json
 from skyproof.layout import Layout
 from skyproof.results.baseline import Baseline
@@ -27,7 +28,6 @@ from skyproof.results.statistics.intervals import Interval
 from skyproof.results.statistics.sample import Sample
 from skyproof.results.stored import (
     AttackRecord,
-    DetectorFacts,
     Practicality,
     RunConfig,
     Timing,
@@ -87,7 +87,7 @@ class Results:
     config: RunConfig
     environment: Mapping[str, Any]
     timings: Sequence[Timing]
-    cards: Mapping[str, DetectorFacts]
+    cards: Mapping[str, DetectorCard]
     records: Mapping[str, AttackRecord]
     practicality: Mapping[CamouflageName, Practicality]
 

@@ -8,10 +8,10 @@ from typing import Annotated, Any
 
 from msgspec import Meta, Struct
 
-from skyproof.detectors.doubts import find_doubts
+from skyproof.detectors.card import DetectorCard, read_card
 from skyproof.documents import check_document, read_document, read_lines
 from skyproof.errors import StoredFileError
-from skyproof.ranges import Fraction, Name, Seed, WholeNumber
+from skyproof.ranges import Name, Seed, WholeNumber
 
 Finite = Annotated[float, Meta(ge=-1e15, le=1e15)]
 """Any number that a table can show."""
@@ -24,8 +24,6 @@ Label = Annotated[str, Meta(min_length=1, max_length=300)]
 
 Text = Annotated[str, Meta(max_length=10_000)]
 """Some sentences, or a command."""
-
-_Digest = Annotated[str, Meta(max_length=64)]
 
 _REMEDY = "copy the whole folder again, or move this file away"
 
@@ -57,57 +55,6 @@ class Timing(Struct, frozen=True, kw_only=True):
     name: Label | None = None
     seconds: Annotated[float, Meta(ge=0, le=1e9)]
     largest_memory_mb: Annotated[float, Meta(ge=0, le=1e9)] | None = None
-
-
-class Validation(Struct, frozen=True):
-    """What a detector reached on its validation images."""
-
-    ap_centre_1m: Fraction | None = None
-    ap_iou_50: Fraction | None = None
-    f1: Fraction | None = None
-
-
-class _Identity(Struct, frozen=True):
-    settings: dict[Label, Finite] = {}
-
-
-class Recipe(Struct, frozen=True):
-    """How a detector was trained, and on what.
-
-    Attributes:
-        identity: the settings of the training.
-        images: how many it learnt from.
-        data_sha256, validation_sha256: of what stands where in the images that it learnt from, and
-            in those that chose its threshold; empty on cards from before it was kept.
-    """
-
-    identity: _Identity = _Identity()
-    images: WholeNumber | None = None
-    data_sha256: _Digest = ""
-    validation_sha256: _Digest = ""
-
-
-class DetectorFacts(Struct, frozen=True):
-    """What the page shows of a `detector.json`."""
-
-    size: Annotated[str, Meta(max_length=300)] = "–"
-    parameters: Annotated[int, Meta(ge=0, le=10**12)] | None = None
-    threshold: Finite | None = None
-    validation: Validation = Validation()
-    validation_vehicles: WholeNumber | None = None
-    trained_on: Text = ""
-    brought: Any = None
-    training: Recipe = Recipe()
-    weights_sha256: _Digest = ""
-
-    def doubts(self, name: str) -> list[str]:
-        """What speaks against attacking it at all, in a sentence each; see `find_doubts`."""
-        return find_doubts(
-            name,
-            imported=self.brought is not None,
-            ap_centre_1m=self.validation.ap_centre_1m,
-            vehicles=self.validation_vehicles,
-        )
 
 
 class _Attack(Struct, frozen=True):
@@ -239,15 +186,14 @@ def read_timings(path: Path) -> list[Timing]:
     return read_document(path, list[Timing], _REMEDY) if path.exists() else []
 
 
-def read_detectors(folder: Path) -> dict[str, DetectorFacts]:
+def read_detectors(folder: Path) -> dict[str, DetectorCard]:
     """Reads what is recorded of the detectors of a run, by folder.
 
     Raises:
         StoredFileError: a file is of another form.
     """
     return {
-        path.parent.name: read_document(path, DetectorFacts, _REMEDY)
-        for path in sorted(folder.glob("*/detector.json"))
+        path.parent.name: read_card(path.parent) for path in sorted(folder.glob("*/detector.json"))
     }
 
 

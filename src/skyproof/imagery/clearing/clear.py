@@ -200,7 +200,7 @@ def _find(
         # Unlabelled regions may hold vehicles that no detector looks for: they are filled whole.
         labelled = torch.cat([labelled, labels.unlabelled_boxes])
     else:
-        threshold = finder.loaded.threshold
+        threshold = finder.detector.threshold
         lowest_score = threshold if settings.finding_score is None else settings.finding_score
         everything = finder.detections(image, lowest_score)
         detections = other_vehicles(everything, labelled)
@@ -279,7 +279,7 @@ def _clear_tile(
             image = fill(image, tile_mask)
         if checker is None:
             break
-        remaining = checker.detections(image, checker.loaded.threshold).boxes
+        remaining = checker.detections(image, checker.detector.threshold).boxes
         row.remaining = len(remaining)
         if not len(remaining):
             break
@@ -319,7 +319,7 @@ def _record(
         s for s in SPLITS if any(r.split == s for r in rows) and all(r.split != s for r in kept)
     ]
     checked_by = (
-        {"name": checker.name, "threshold": checker.loaded.threshold}
+        {"name": checker.name, "threshold": checker.detector.threshold}
         if checker
         else "not checked by a detector"
     )

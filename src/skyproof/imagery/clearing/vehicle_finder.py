@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import torch
 from jaxtyping import Float, UInt8
-from torch import Tensor, nn
+from torch import Tensor
 from torchvision import ops
 
-from skyproof.detectors.detector import Detections, Detector
+from skyproof.detectors.detector import Detections, Detector, TrainableDetector
 from skyproof.detectors.inference import covering_windows, detect_batch
-from skyproof.detectors.loaded import LoadedDetector
-from skyproof.detectors.weights import weights_digest
 from skyproof.errors import ConfigurationError
 
 SAME_VEHICLE_IOU = 0.3
@@ -28,26 +25,22 @@ class VehicleFinder:
         name: for the record, such as its folder and the digest of its weights.
     """
 
-    loaded: LoadedDetector[Detector]
+    detector: Detector
     name: str
 
     @classmethod
-    def of_folder(
-        cls, loaded: LoadedDetector[Any], folder: Path, device: torch.device
-    ) -> VehicleFinder:
+    def of_folder(cls, detector: Detector, folder: Path, device: torch.device) -> VehicleFinder:
         """Names a detector by its folder and its weights' digest, and moves it to a device."""
-        if not isinstance(loaded.detector, nn.Module):
-            return cls(loaded, f"{folder} (by its answers)")
-        digest = weights_digest(loaded.detector)
-        loaded.detector.to(device)
-        return cls(loaded, f"{folder} ({digest[:12]})")
+        if not isinstance(detector, TrainableDetector):
+            return cls(detector, f"{folder} (by its answers)")
+        return cls(detector.to(device), f"{folder} ({detector.weights_sha256[:12]})")
 
     def detections(self, image: UInt8[Tensor, "3 H W"], lowest_score: float) -> Detections:
         """Finds vehicles in a tile of any size, a large one through windows that overlap."""
         detected = []
         for left, top, width, height in covering_windows((image.shape[2], image.shape[1])):
             part = image[:, top : top + height, left : left + width]
-            detections = detect_batch(self.loaded.detector, part[None])[0]
+            detections = detect_batch(self.detector, part[None])[0]
             shift = torch.tensor([left, top, left, top], dtype=torch.float32)
             keep = detections.scores.cpu() >= lowest_score
             detected.append((detections.boxes.cpu()[keep] + shift, detections.scores.cpu()[keep]))
@@ -91,9 +84,9 @@ def check_resolution(finder: VehicleFinder | None, gsd_m: float) -> None:
     Raises:
         ConfigurationError: more than 2 % apart.
     """
-    if finder is not None and abs(finder.loaded.card.gsd_m - gsd_m) > 0.02 * gsd_m:
+    if finder is not None and abs(finder.detector.card.gsd_m - gsd_m) > 0.02 * gsd_m:
         raise ConfigurationError(
-            f"The detector {finder.name} was trained at {finder.loaded.card.gsd_m} m per pixel but "
-            f"the tiles have {gsd_m} m; give one of this resolution, or tile the imagery at the "
-            "detector's."
+            f"The detector {finder.name} was trained at {finder.detector.card.gsd_m} m per pixel "
+            f"but the tiles have {gsd_m} m; give one of this resolution, or tile the imagery at "
+            "the detector's."
         )
