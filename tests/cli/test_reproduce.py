@@ -33,7 +33,7 @@ def test_dry_run_says_what_would_be_done_and_writes_nothing(
     counted = "ground 1, vehicles 1, scenes 4, render 4, train 1, control 1, attack 4"
     assert f"20 steps ({counted}, score 2, looks 1, report 1)" in answer.out
     assert "-m snakemake --snakefile" in answer.out
-    assert f"--configfile {TINY}" in answer.out
+    assert f"mkdir -p {out}\n  cp -r {TINY} {out / 'config.json'}\n" in answer.out
     assert not out.exists()
 
 
@@ -64,7 +64,7 @@ def test_the_cycles_column_is_asked_for(
     assert "23 steps" in answer.out
     assert "render 5, train 1, control 1, attack 4, score 4, looks 1, report 1" in answer.out
     # Jobs run in the run folder: the path must not depend on where the command was given.
-    assert f"--config cycles=1 blender={Path.cwd() / 'here' / 'python'}" in answer.out
+    assert f"--config blender={Path.cwd() / 'here' / 'python'}" in answer.out
     assert not out.exists()
 
 
@@ -211,6 +211,7 @@ def test_another_run_in_the_folder(tmp_path: Path, skyproof: Skyproof) -> None:
             "is being written by another process", str(os.getpid())
         )
     (tmp_path / "run" / "fleets").mkdir()
+    (tmp_path / "run" / "steps.json").write_text("{}")
     changed = tmp_path / "tiny.json"
     changed.write_text(json.dumps({**json.loads(TINY.read_text()), "seed": 5}))
     skyproof("reproduce", "--preset", changed, "--out", tmp_path / "run").refused(

@@ -1,7 +1,6 @@
 """The steps that only a reproduction has."""
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +8,7 @@ import pytest
 from PIL import Image
 
 from skyproof.errors import RunFolderError
-from skyproof.main import run
-from skyproof.reproduction.step_commands import STEPS, Features, Looks
+from skyproof.reproduction.own_steps import store_features, write_looks
 from skyproof.reproduction.stored_features import read_features
 from skyproof.reproduction.stored_looks import read_looks
 
@@ -18,14 +16,14 @@ from skyproof.reproduction.stored_looks import read_looks
 def test_textures_are_measured_and_samples_drawn(finished: Path, tmp_path: Path) -> None:
     names = ["T-U", "T-PixFcMa", "R-U-0", "R-U-1"]
     out = tmp_path / "looks"
-    command = Looks(
-        out=out,
-        original=finished / "datasets/test",
-        camouflages=tuple(finished / "camouflages" / name for name in names),
-        backgrounds=finished / "backgrounds",
-        fleet=finished / "fleets/test",
-    )
-    command.run()
+    asked = {
+        "out": out,
+        "original": finished / "datasets/test",
+        "camouflages": [finished / "camouflages" / name for name in names],
+        "backgrounds": finished / "backgrounds",
+        "fleet": finished / "fleets/test",
+    }
+    write_looks(**asked)
     looks = read_looks(out)
     assert looks is not None
     assert [row.name for row in looks.textures] == names
@@ -54,33 +52,24 @@ def test_textures_are_measured_and_samples_drawn(finished: Path, tmp_path: Path)
     assert np.abs(np.diff(coarse, axis=1)).mean() > np.abs(np.diff(soft, axis=1)).mean()
     assert not np.array_equal(coarse, smooth)
     with pytest.raises(RunFolderError, match="looks exists"):
-        command.run()
+        write_looks(**asked)
 
 
 def test_features_are_stored_of_what_is_asked_for(finished: Path, tmp_path: Path) -> None:
-    command = Features(
-        detectors=tuple(sorted((finished / "detectors").iterdir())),
-        out=tmp_path / "features.parquet",
-        original=finished / "datasets/test",
-        camouflages=(finished / "camouflages/R-U-0", finished / "camouflages/T-U"),
-        backgrounds=finished / "backgrounds",
-        fleet=finished / "fleets/test",
-        device="cpu",
-    )
-    command.run()
-    found = read_features(command.out)
+    detectors = sorted((finished / "detectors").iterdir())
+    asked = {
+        "detectors": detectors,
+        "out": tmp_path / "features.parquet",
+        "original": finished / "datasets/test",
+        "camouflages": [finished / "camouflages/R-U-0", finished / "camouflages/T-U"],
+        "backgrounds": finished / "backgrounds",
+        "fleet": finished / "fleets/test",
+        "device": "cpu",
+    }
+    store_features(**asked)
+    found = read_features(tmp_path / "features.parquet")
     shown = ("ground", "original", "R-U-0", "T-U")
-    assert [each.shown for each in found] == [*shown] * len(command.detectors)
+    assert [each.shown for each in found] == [*shown] * len(detectors)
     assert {each.scenes[0] for each in found} == {found[0].scenes[0]}
     with pytest.raises(RunFolderError, match="exists already"):
-        command.run()
-
-
-def test_steps_stand_on_a_command_line_of_their_own(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["x", "report", "--out", str(tmp_path)])
-    assert run(commands={"": STEPS}) == 2
-    assert "holds no scores" in capsys.readouterr().err
-    assert run(["score"], commands={"": STEPS}) == 2
-    assert "expected one of scenes, looks, features, report" in capsys.readouterr().err
+        store_features(**asked)

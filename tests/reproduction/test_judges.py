@@ -8,14 +8,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-import tyro
 
 from skyproof.assessment.run import Step
 from skyproof.detectors.blueprint import Blueprint
 from skyproof.detectors.card import DetectorCard, write_card
 from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
 from skyproof.layout import Layout
-from skyproof.main import load_command
 from skyproof.reproduction.held_out_detectors import (
     Judge,
     new_judges,
@@ -24,9 +22,8 @@ from skyproof.reproduction.held_out_detectors import (
     stored_judges,
 )
 from skyproof.reproduction.preset import Preset
-from skyproof.reproduction.snakemake import step_words
-from skyproof.reproduction.workflow import plan_of_config, reproduction_plan
-from tests.reproduction.test_plan import TINY, TINY_FILE, dry_run, leave
+from skyproof.reproduction.workflow import plan_of_run, reproduction_plan
+from tests.reproduction.test_plan import BLENDER, TINY, TINY_FILE, dry_run, leave
 
 PHOTOGRAPHS = {"images": 60, "data_sha256": "a" * 64}
 OTHERS = {"images": 60, "data_sha256": "b" * 64}
@@ -155,7 +152,9 @@ def test_a_detector_that_is_attacked_is_no_judge(tmp_path: Path) -> None:
 
 def steps_of(cycles: bool) -> dict[str, Step]:
     judges = {"more": ("yolov5",), "real": ("faster_rcnn", "retinanet")}
-    plan = reproduction_plan(PRESET, Path("run"), cycles=cycles, judges=judges)
+    plan = reproduction_plan(
+        PRESET, Path("run"), blender=BLENDER if cycles else None, judges=judges
+    )
     return {step.id: step for step in plan.steps}
 
 
@@ -179,25 +178,31 @@ def test_judges_score_what_the_run_renders() -> None:
     assert not [name for name in steps_of(cycles=False) if "judges" in name and "cycles" in name]
     # Whatever tables are called, no two steps are.
     reproduction_plan(
-        PRESET, Path(), cycles=True, judges=dict.fromkeys(("a", "a-cycles"), ("yolov5",))
+        PRESET, Path(), blender=BLENDER, judges=dict.fromkeys(("a", "a-cycles"), ("yolov5",))
     )
-    for name in added:
-        _, command, *words = step_words(steps[name])
-        assert tyro.cli(load_command(command), args=words) == steps[name].settings
 
 
-def test_a_finished_run_is_given_only_what_its_judges_add(tmp_path: Path) -> None:
+def test_a_finished_run_is_given_only_what_its_judges_add(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     run = tmp_path / "run"
     layout = Layout(run)
     asked = read_judges([str(detector(tmp_path / "first"))])
     store_judges(layout, new_judges(layout, PRESET, asked))
-    for age, finished in enumerate(plan_of_config(TINY).steps):
+    for age, finished in enumerate(reproduction_plan(PRESET, Path()).steps):
         leave(run, [finished], 1000 + age)
     card = layout.judged("judges").detector("retinanet") / "detector.json"
     os.utime(card, (1500, 1500))
     counted, said = dry_run(run, TINY_FILE)
     assert counted == {"score": 2, "report": 1, "all": 1, "total": 4}, said
-    assert "--detectors judges/judges/detectors/retinanet --out judges/judges/scores/000" in said
+    assert "skyproof.reproduction step score/judges.judges.000 >" in said
+    # The step's own process finds them where they lie.
+    monkeypatch.chdir(run)
+    steps = {step.id: step.settings for step in plan_of_run().steps}
+    score = steps["score/judges.judges.000"]
+    assert score.detectors == (Path("judges/judges/detectors/retinanet"),)  # type: ignore[attr-defined]
+    assert score.out == Path("judges/judges/scores/000")  # type: ignore[attr-defined]
+    monkeypatch.chdir(tmp_path / "empty")
     # Once these are there, too, nothing is left.
     with_judges = reproduction_plan(PRESET, Path(), judges=stored_judges(layout))
     leave(run, [step for step in with_judges.steps if "judges" in step.name], 2000)

@@ -3,33 +3,32 @@
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 from collections import Counter
-from dataclasses import dataclass, fields, is_dataclass, replace
-from functools import cache
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import get_type_hints, is_typeddict
 
 import pytest
-import tyro
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.cli.ground import Ground
 from skyproof.errors import ConfigurationError, RunFolderError
-from skyproof.main import COMMANDS, load_command
+from skyproof.main import run
 from skyproof.ranges import Fraction
+from skyproof.reproduction.__main__ import COMMANDS
 from skyproof.reproduction.jobs import Jobs
 from skyproof.reproduction.plan import Plan, command_step
 from skyproof.reproduction.preset import PRESETS, Preset, read_preset
-from skyproof.reproduction.snakemake import SNAKEFILE, output_of, shell_line, step_words
-from skyproof.reproduction.step_commands import STEPS, Scenes
-from skyproof.reproduction.workflow import plan_of_config, reproduction_plan
+from skyproof.reproduction.snakemake import SNAKEFILE, output_of, shell_line
+from skyproof.reproduction.workflow import plan_of_run, reproduction_plan
 from skyproof.reproduction.world import WorldSizes
 from skyproof.scenes.weather import CONDITIONS
 
 TINY_FILE = Path(__file__).with_name("tiny.json")
 TINY = json.loads(TINY_FILE.read_text())
+BLENDER = Path("/blender")
 
 
 def jobs(**changes):
@@ -38,6 +37,11 @@ def jobs(**changes):
 
 def read(preset):
     return json.loads(PRESETS[preset].read_text())
+
+
+def plan_of(preset, **more):
+    """The plan of a preset, as a step of its own sees it in the run folder."""
+    return reproduction_plan(Preset.parse(preset), Path(), **more)
 
 
 def test_tiny_by_hand():
@@ -69,7 +73,7 @@ def test_on_cycles_are_finished_attacks_and_controls_alone():
     }
     # One more step for the original images, and one for each batch; only where they are asked for.
     without = reproduction_plan(Preset.parse(TINY), Path())
-    plan = reproduction_plan(Preset.parse(TINY), Path(), cycles=True)
+    plan = reproduction_plan(Preset.parse(TINY), Path(), blender=BLENDER)
     added = {step.id for step in plan.steps} - {step.id for step in without.steps}
     assert added == {"render/test-cycles", "score/cycles-000", "score/cycles-001"}
     assert plan.steps[-1].id == "report/report"
@@ -185,10 +189,10 @@ def test_features_are_stored_of_a_texture_its_control_and_a_plain_paint():
     more = {"textures": ["Ma"], "repeats": 2, "draws": 2, "best_of": 7, "score_batch": 6}
     plan = reproduction_plan(Preset.parse({**TINY, **more, "features": ["T-Ma"]}), Path("run"))
     (asked,) = (step for step in plan.steps if step.kind == "features")
-    worn = [folder.name for folder in asked.settings.camouflages]
+    worn = [folder.name for folder in asked.settings["camouflages"]]
     assert worn == ["R-Ma-0", "T-Ma-0", "R-Ma_plain"]
     assert asked.outputs[0] in plan.steps[-1].inputs
-    plain = reproduction_plan(Preset.parse(TINY), Path(), cycles=True)
+    plain = reproduction_plan(Preset.parse(TINY), Path(), blender=BLENDER)
     assert "features" not in plain.counts
     for wrong in ("R-U", "S-O@0.4", "T-U-0"):
         with pytest.raises(ConfigurationError, match=f"features expects learnt .* '{wrong}'"):
@@ -213,15 +217,15 @@ def test_weather_is_learnt_in_and_judged_apart():
     # It is scored on clear days, too, and has the control of its texture.
     assert "T-U_weather-0" in {name for batch in own.batches.values() for name in batch}
     assert not any("weather" in name for name in own.controls)
-    plan = reproduction_plan(preset, Path("run"), cycles=True)
+    plan = reproduction_plan(preset, Path("run"), blender=BLENDER)
     steps = {step.id: step for step in plan.steps}
     assert steps["attack/T-U_weather-0"].settings.conditions == tuple(CONDITIONS)
     drawn = steps["scenes/weather"].settings
     usual = steps["scenes/test"].settings
-    assert set(drawn.settings.conditions) == {*CONDITIONS} - {"clear"}
+    assert set(drawn["settings"].conditions) == {*CONDITIONS} - {"clear"}
     # But for the weather they are the usual scenes.
-    assert replace(drawn.settings, conditions=("clear",)) == usual.settings
-    assert (drawn.seed, drawn.split, drawn.count) == (usual.seed, "test", 7)
+    assert replace(drawn["settings"], conditions=("clear",)) == usual["settings"]
+    assert (drawn["seed"], drawn["split"], drawn["count"]) == (usual["seed"], "test", 7)
     scored = steps["score/weather-001"]
     assert scored.outputs == (Path("run/weather/scores/001"),)
     assert scored.settings.original == Path("run/datasets/weather")
@@ -336,9 +340,9 @@ def test_a_preset_says_where_vehicles_stand():
     world = {**TINY["world"], "training_places": "removed", "test_places": "drivable"}
     plan = reproduction_plan(Preset.parse({**TINY, "world": world}), Path())
     drawn = {
-        step.settings.split: step.settings.settings
+        step.name: step.settings["settings"]
         for step in plan.steps
-        if isinstance(step.settings, Scenes)
+        if step.kind == "scenes" and step.name != "empty"
     }
     assert {split: settings.places for split, settings in drawn.items()} == {
         "train": "removed",
@@ -357,21 +361,12 @@ def test_a_preset_says_where_vehicles_stand():
 
 
 PLANS = {
-    "tiny": reproduction_plan(Preset.parse(TINY), Path("run"), cycles=True, blender=Path("b")),
-    "quick": reproduction_plan(Preset.parse(read("quick")), Path(), cycles=True),
+    "tiny": reproduction_plan(Preset.parse(TINY), Path("run"), blender=Path("b")),
+    "quick": reproduction_plan(Preset.parse(read("quick")), Path(), blender=BLENDER),
     "paper": reproduction_plan(Preset.parse(read("paper")), Path(), device="cuda"),
     "reference": reproduction_plan(Preset.parse(read("reference")), Path()),
     "trainings": reproduction_plan(Preset.parse(read("trainings")), Path("run")),
 }
-
-
-@pytest.mark.parametrize("name", PLANS)
-def test_every_step_can_be_done_by_hand(name):
-    """The words of its command line, parsed again, are the very command."""
-    for step in PLANS[name].steps:
-        program, command, *words = step_words(step)
-        commands = {"": STEPS} if program == "skyproof.reproduction" else COMMANDS
-        assert tyro.cli(load_command(command, commands), args=words) == step.settings, step.id
 
 
 @pytest.mark.parametrize("name", PLANS)
@@ -423,7 +418,7 @@ def test_finished_is_what_left_its_outputs(tmp_path):
 
 
 def test_what_most_steps_wait_for_comes_first(tmp_path):
-    plan = plan_of_config(TINY)
+    plan = plan_of(TINY)
     waiting = plan.waiting
     # All that comes after, at second hand, too: the report waits for all, and nothing for it.
     assert waiting["report/report"] == 0
@@ -443,9 +438,10 @@ def test_what_most_steps_wait_for_comes_first(tmp_path):
 
 def dry_run(folder, preset, *more):
     """Snakemake's steps by kind, and all it says."""
+    shutil.copyfile(preset, folder / "config.json")
     command = [sys.executable, "-m", "snakemake", "--snakefile", SNAKEFILE, "--directory", folder]
     command += ["--dry-run", "--printshellcmds", "--cores", "2", "--rerun-triggers", "mtime"]
-    done = subprocess.run([*command, "--configfile", preset, *more], capture_output=True, text=True)
+    done = subprocess.run([*command, *more], capture_output=True, text=True)
     said = done.stdout + done.stderr
     assert done.returncode == 0, said
     # The table may be printed twice; every step is a rule of its own.
@@ -456,18 +452,18 @@ def dry_run(folder, preset, *more):
     return counts, said
 
 
-@pytest.mark.parametrize(
-    ("preset", "cycles"), [*((name, True) for name in PRESETS), ("quick", False)]
-)
+@pytest.mark.parametrize(("preset", "cycles"), [("quick", True), ("trainings", False)])
 def test_snakemake_sees_the_same_steps_and_no_cycle(preset, cycles, tmp_path):
-    counted, _ = dry_run(tmp_path, PRESETS[preset], *(["--config", "cycles=1"] if cycles else []))
-    plan = plan_of_config({**read(preset), "cycles": int(cycles)})
+    counted, _ = dry_run(
+        tmp_path, PRESETS[preset], *(["--config", "blender=/blender"] if cycles else [])
+    )
+    plan = plan_of(read(preset), blender=BLENDER if cycles else None)
     assert counted == {**plan.counts, "all": 1, "total": len(plan.steps) + 1}
 
 
 @pytest.mark.parametrize("preset", PRESETS)
 def test_cycles_adds_steps_and_changes_none_but_the_report(preset):
-    plain, more = (plan_of_config({**read(preset), "cycles": cycles}) for cycles in (0, 1))
+    plain, more = (plan_of(read(preset), blender=blender) for blender in (None, BLENDER))
     added = {step.id: step for step in more.steps}
     assert len(added) > len(plain.steps)
     for step in plain.steps:
@@ -477,33 +473,47 @@ def test_cycles_adds_steps_and_changes_none_but_the_report(preset):
 
 def test_snakemake_takes_no_report_away_that_is_to_be_renewed():
     # Tables without the results beside them are taken for somebody else's, and refused.
-    report = plan_of_config(TINY).steps[-1]
+    report = plan_of(TINY).steps[-1]
     kept = output_of(report, str, lambda path: f"kept {path}")
     assert kept == ["kept results.json", "kept report.html"]
 
 
-def test_commands_on_cycles(tmp_path):
-    more = ("--config", "cycles=1", "blender=/opt/my blender/python")
-    _, said = dry_run(tmp_path, TINY_FILE, *more)
-    commands = [line for line in said.splitlines() if "--renderer cycles" in line]
-    assert len(commands) == 3
-    wanted = "--renderer cycles --blender '/opt/my blender/python' --workers 1 "
-    assert all(wanted in line for line in commands)
-    drawn = next(line for line in commands if "skyproof render" in line)
-    assert "--scenes scenes/test.jsonl" in drawn
-    assert "--out datasets/test-cycles" in drawn
-    attacks = next(line for line in commands if "T-Fc-0" in line)
-    assert "--out scores/cycles-001 --original datasets/test-cycles" in attacks
-    assert "snapshots" not in attacks
-    _, said = dry_run(tmp_path, TINY_FILE, "--config", "cycles=1")
-    assert "--renderer cycles --workers 1" in said
+def test_each_step_is_done_by_its_name(tmp_path, monkeypatch, capsys):
+    _, said = dry_run(tmp_path, TINY_FILE, "--config", "blender=/opt/my blender/python")
+    words = "-m skyproof.reproduction step score/cycles-001 '--blender=/opt/my blender/python'"
+    assert f"{sys.executable} {words} > logs/score/cycles-001.log 2>&1\n" in said
+    monkeypatch.chdir(tmp_path)
+    assert run(["step", "vehicles/fleets", "--device=cpu"], commands=COMMANDS) == 0
+    assert (tmp_path / "fleets" / "test").is_dir()
+    # Without a Blender there is no Cycles column.
+    assert run(["step", "score/cycles-001"], commands=COMMANDS) == 2
+    assert "has no step 'score/cycles-001'" in capsys.readouterr().err
+
+
+def test_a_step_on_cycles_finds_its_blender_and_files(tmp_path, monkeypatch):
+    shutil.copyfile(TINY_FILE, tmp_path / "config.json")
+    monkeypatch.chdir(tmp_path)
+    plan = plan_of_run("cpu", "/opt/my blender/python")
+    drawn, *_, attacks = (
+        step.settings
+        for step in plan.steps
+        if getattr(step.settings, "renderer", "torch") == "cycles"
+    )
+    assert drawn.blender == Path("/opt/my blender/python")
+    assert drawn.workers == 1
+    assert drawn.scenes == Path("scenes/test.jsonl")
+    assert drawn.out == attacks.original == Path("datasets/test-cycles")
+    assert attacks.out == Path("scores/cycles-001")
+    assert Path("camouflages/T-Fc-0") in attacks.camouflages
+    assert not [folder for folder in attacks.camouflages if "snapshots" in str(folder)]
+    assert {step.settings.device for step in plan.steps if step.kind == "score"} == {"cpu"}
 
 
 def test_snakemake_looks_at_waiting_steps_when_one_ends_and_not_between(tmp_path):
     config = tmp_path / "config.json"
     config.write_text(TINY_FILE.read_text())
     command = [sys.executable, "-m", "snakemake", "--snakefile", SNAKEFILE, "--verbose"]
-    command += ["--directory", tmp_path, "--configfile", config, "--cores", "1"]
+    command += ["--directory", tmp_path, "--cores", "1"]
     command += ["--config", "device=cpu", "--scheduler", "greedy"]
     done = subprocess.run([*command, "fleets", "backgrounds"], capture_output=True, text=True)
     said = done.stdout + done.stderr
@@ -523,16 +533,16 @@ def leave(folder, steps, age):
 
 
 def test_a_finished_run_is_given_only_the_cycles_column(tmp_path):
-    plan = plan_of_config(TINY)
+    plan = plan_of(TINY)
     for age, finished in enumerate(plan.steps):
         leave(tmp_path, [finished], 1000 + age)
-    counted, said = dry_run(tmp_path, TINY_FILE, "--config", "cycles=1")
+    counted, said = dry_run(tmp_path, TINY_FILE, "--config", "blender=/blender")
     assert counted == {"render": 1, "score": 2, "report": 1, "all": 1, "total": 5}, said
     # Finished too, then stopped before the report was written again.
-    wide = plan_of_config({**TINY, "cycles": 1})
+    wide = plan_of(TINY, blender=BLENDER)
     known = {step.id for step in plan.steps}
     leave(tmp_path, [step for step in wide.steps if step.id not in known], 2000)
-    counted, said = dry_run(tmp_path, TINY_FILE, "--config", "cycles=1")
+    counted, said = dry_run(tmp_path, TINY_FILE, "--config", "blender=/blender")
     assert counted == {"report": 1, "all": 1, "total": 2}, said
     # Without the flag nothing of it is asked for or taken away.
     counted, said = dry_run(tmp_path, TINY_FILE)
@@ -591,34 +601,22 @@ NASTY = ["a b", "a'b", 'a"b', "a;touch x", "$(touch x)", "`touch x`", "a\nb", "{
 
 
 @pytest.mark.parametrize("name", NASTY)
-def test_every_word_of_a_step_reaches_the_command_as_it_is(name):
-    plan = reproduction_plan(Preset.parse(TINY), Path(), cycles=True, blender=Path(f"/{name}"))
-    for step in plan.steps:
-        line = shell_line(step)(None)
+def test_every_word_of_a_step_reaches_the_process_as_it_is(name):
+    blender = f"/{name}"
+    plan = plan_of(TINY, blender=Path(blender))
+    for step in (plan.steps[0], plan.steps[-1]):
+        line = shell_line(step, {"device": "cpu", "blender": blender})(None)
         said = subprocess.run(
             ["sh", "-c", f"printf '%s\\0' {line}"], capture_output=True, text=True, check=True
         ).stdout.split("\0")[:-1]
-        assert said == [sys.executable, "-m", *step_words(step)]
+        words = ["step", step.id, "--device=cpu", f"--blender={blender}"]
+        assert said == [sys.executable, "-m", "skyproof.reproduction", *words]
 
 
-def test_names_of_options_come_from_fields_alone():
-    def known(kind, prefix=""):
-        for each in fields(kind):
-            yield f"--{prefix}{each.name}".replace("_", "-")
-            yield f"--{prefix}no-{each.name}".replace("_", "-")
-            value = get_type_hints(kind)[each.name]
-            if is_dataclass(value):
-                yield from known(value, f"{each.name}.")
-            if is_typeddict(value):
-                yield from (
-                    f"--{each.name}.{key}".replace("_", "-") for key in get_type_hints(value)
-                )
-
-    of_command = cache(lambda kind: set(known(kind)))
+def test_names_of_steps_are_plain():
     for preset in PRESETS:
-        for step in reproduction_plan(Preset.parse(read(preset)), Path(), cycles=True).steps:
-            options = {word for word in step_words(step) if word.startswith("--")}
-            assert options <= of_command(type(step.settings)), step.id
+        for each in plan_of(read(preset), blender=BLENDER).steps:
+            assert re.fullmatch(r"[a-z]+/[A-Za-z0-9@._-]+", each.id)
 
 
 def test_a_plan_refuses_what_a_later_step_would_refuse():

@@ -15,8 +15,9 @@ import pytest
 
 from skyproof.errors import ConfigurationError, RunFolderError
 from skyproof.files import alone
+from skyproof.reproduction.preset import Preset
 from skyproof.reproduction.slurm import check_slurm
-from skyproof.reproduction.workflow import plan_of_config
+from skyproof.reproduction.workflow import reproduction_plan
 from tests.barely_trained import count_everything
 from tests.reproduction.test_end_to_end import checkpointed_step, kill
 
@@ -163,7 +164,7 @@ def test_steps_are_jobs_and_go_on_after_a_power_cut_and_a_kill(start, tmp_path):
     assert [row["step"] for row in rows] == list(range(1, STEPS + 1))
     assert (attack / "previews" / "000001.png").stat().st_mtime_ns < checkpoint
     assert "| T-Fc |" in (folder / "tables" / "README.md").read_text()
-    steps = plan_of_config(TINY).steps
+    steps = reproduction_plan(Preset.parse(TINY), Path()).steps
     assert len(json.loads((folder / "timings.json").read_text())) == len(steps)
 
     # Every step was done by a job of Slurm, as Slurm tells it, and not on the machine that asked.

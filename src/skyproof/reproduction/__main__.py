@@ -1,7 +1,8 @@
-"""`python -m skyproof.reproduction`: the steps of a reproduction that no other run has."""
+"""`python -m skyproof.reproduction step NAME`: one step of the run in the current folder."""
 
 from skyproof.main import main
-from skyproof.reproduction.step_commands import STEPS
+
+COMMANDS = {"Steps of a reproduction": {"step": "skyproof.reproduction.one_step:OneStep"}}
 
 if __name__ == "__main__":
-    main({"Steps of a reproduction": STEPS})
+    main(COMMANDS)

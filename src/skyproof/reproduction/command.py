@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import shlex
-import subprocess
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -89,8 +87,8 @@ class Reproduce:
         cores = self._side_by_side()
         choose_device(self.device)
         _refuse_unbuildable(preset)
-        more = self._cycles()
-        blender = Path(more["blender"]) if more else None
+        blender = self._cycles()
+        config = {"blender": str(blender)} if blender else {}
         layout = Layout(self.out)
         judges = read_judges(self.judges)
         added = new_judges(layout, preset, judges)
@@ -98,16 +96,11 @@ class Reproduce:
         tables = dict(sorted({**stored_judges(layout), **names}.items()))
 
         plan = reproduction_plan(
-            preset,
-            self.out,
-            device=self.device,
-            cycles=self.cycles,
-            blender=blender,
-            judges=tables,
+            preset, self.out, device=self.device, blender=blender, judges=tables
         )
         run = Run(self.out, {"preset": name, **values}, plan.steps)
         if self.dry_run:
-            self._check(path, preset, plan, more, added)
+            self._say_how(path, preset, plan, config, added)
             return
         if self.slurm_jobs is not None:
             wait_for_earlier_jobs(self.out)
@@ -122,8 +115,7 @@ class Reproduce:
             if cores == 1 and self.slurm_jobs is None:
                 run.do()
             else:
-                more = {"device": self.device, **more}
-                command = snakemake_words(self.out, self.out / "config.json", more)
+                command = snakemake_words(self.out, {"device": self.device, **config})
                 # Marks left by a kill must not stop the next try; our own lock keeps a second run
                 # away.
                 command += ["--rerun-incomplete", "--nolock", "--scheduler", "greedy"]
@@ -169,8 +161,8 @@ class Reproduce:
             return slurm_words(count)
         return ["--executor", "local", "--cores", str(count)]
 
-    def _cycles(self) -> dict[str, str]:
-        """What the workflow is told of the Cycles column, which is no setting of the run folder.
+    def _cycles(self) -> Path | None:
+        """Returns the Blender of the Cycles column; None where that is not asked for.
 
         Raises:
             ConfigurationError: there is no usable Blender, or it is given for nothing.
@@ -182,50 +174,41 @@ class Reproduce:
                 raise ConfigurationError(
                     "--blender is for the Cycles column; give --cycles too, or leave it out."
                 )
-            return {}
+            return None
         # Not resolved: the Python of a virtual environment is a link, and loses its packages when
         # followed.
-        return {"cycles": "1", "blender": str(find_blender(self.blender).path.absolute())}
+        return find_blender(self.blender).path.absolute()
 
-    def _check(
+    def _say_how(
         self,
         path: Path,
         preset: Preset,
         plan: Plan,
-        more: Mapping[str, str],
+        config: Mapping[str, str],
         added: Mapping[str, Sequence[Judge]],
     ) -> None:
+        """Says what would be done, and how to do it by hand."""
         from skyproof.layout import Layout
         from skyproof.reproduction.slurm import slurm_words
         from skyproof.reproduction.snakemake import snakemake_words
 
-        begun = Layout(self.out).config.exists()
-        with tempfile.TemporaryDirectory() as empty:
-            place = self.out if begun else Path(empty)
-            words = snakemake_words(place, path, more)
-            words += ["--cores", "1", "--dry-run", "--nolock", "--quiet", "all"]
-            done = subprocess.run(words, capture_output=True, text=True)
-        if done.returncode:
-            said = " ".join(done.stderr.split())[-400:]
-            raise ConfigurationError(
-                f"Snakemake refuses this plan ({said.rstrip('.')}); mend what it names."
-            )
         say(f"Steps: {_listed(plan)}.")
         say("By hand, or with options for a cluster's executor:")
+        own = Layout(self.out)
         copies = [
-            (judge.folder, Layout(self.out).judged(table).detector(judge.name))
+            (judge.folder, own.judged(table).detector(judge.name))
             for table, judges in added.items()
             for judge in judges
         ]
-        if not begun:
-            own = Layout(self.out)
+        if not own.config.exists():
             copies += [(reference_folder(name), own.detector(name)) for name in preset.reference]
+        copies.append((path, own.config))
         for parent in dict.fromkeys(copy.parent for _, copy in copies):
             say("  " + shlex.join(["mkdir", "-p", str(parent)]))
-        for folder, copy in copies:
-            say("  " + shlex.join(["cp", "-r", str(folder), str(copy)]))
+        for source, copy in copies:
+            say("  " + shlex.join(["cp", "-r", str(source), str(copy)]))
         where = ["--cores", "2"] if self.slurm_jobs is None else slurm_words(self.slurm_jobs)
-        say("  " + shlex.join([*snakemake_words(self.out, path, more), *where]))
+        say("  " + shlex.join([*snakemake_words(self.out, config), *where]))
 
 
 def _listed(plan: Plan) -> str:

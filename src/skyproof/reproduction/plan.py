@@ -6,9 +6,11 @@ Each step has the settings of one command, the files that it needs and the files
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import is_dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol
 
 from skyproof.assessment.run import Step
 from skyproof.errors import ConfigurationError, RunFolderError
@@ -17,7 +19,6 @@ from skyproof.ranges import check_ranges
 _MOST_STEPS = 20_000
 
 
-@runtime_checkable
 class Command(Protocol):
     """A command's settings: a frozen dataclass, as the command line parses it."""
 
@@ -36,6 +37,20 @@ def command_step(
 ) -> Step:
     """Returns a step that one command does; its settings are the step's."""
     return Step(kind, name, outputs, command.run, command, inputs, **more)
+
+
+def function_step(
+    kind: str,
+    name: str,
+    function: Callable[..., None],
+    arguments: Mapping[str, Any],
+    inputs: tuple[Path, ...],
+    outputs: tuple[Path, ...],
+    **more: Any,
+) -> Step:
+    """Returns a step that one function does; its arguments are the step's settings."""
+    work = partial(function, **arguments)
+    return Step(kind, name, outputs, work, dict(arguments), inputs, **more)
 
 
 class Plan:
@@ -67,7 +82,8 @@ class Plan:
             )
         # A setting that a later step would refuse shows before anything is made.
         for step in self.steps:
-            check_ranges(step.settings)
+            if is_dataclass(step.settings):
+                check_ranges(step.settings)
         self.threads = threads
         self.resources = dict(resources or {})
         repeated = [name for name, count in Counter(step.id for step in steps).items() if count > 1]

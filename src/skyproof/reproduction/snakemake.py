@@ -18,31 +18,26 @@ from skyproof.assessment.run import Run, Step, duration, time_left_s
 from skyproof.console import say
 from skyproof.errors import RunFolderError
 from skyproof.files import Hold
-from skyproof.reproduction.command_words import command_words
 from skyproof.reproduction.plan import Plan
 from skyproof.reproduction.progress import FinishedJob, failed_job, finished_jobs
-from skyproof.reproduction.step_commands import STEPS
 
 SNAKEFILE = Path(__file__).with_name("Snakefile")
 
 _POLL_S = 1.0
 _PATIENCE_S = 30.0
-# A step's command is called like its kind, but for these.
-_COMMANDS = {"check": "precheck", "choose": "attack", "control": "attack"}
 
 
-def step_words(step: Step) -> list[str]:
-    """Returns the words that do a step: the module to run, and its arguments."""
-    program = "skyproof.reproduction" if step.kind in STEPS else "skyproof"
-    return [program, *command_words(_COMMANDS.get(step.kind, step.kind), step.settings)]
-
-
-def shell_line(step: Step) -> Callable[[object], str]:
+def shell_line(step: Step, config: Mapping[str, Any]) -> Callable[[object], str]:
     """Returns what Snakemake takes for the shell's words of a step: every one quoted.
 
     It is a function, because Snakemake looks for wildcards in text, and a path may have braces.
+
+    Args:
+        step: the step, which a process of its own does in the run folder.
+        config: the values of `--config`: device and blender.
     """
-    line = shlex.join([sys.executable, "-m", *step_words(step)])
+    words = [sys.executable, "-m", "skyproof.reproduction", "step", step.id]
+    line = shlex.join([*words, *(f"--{name}={value}" for name, value in config.items())])
     return lambda wildcards: line
 
 
@@ -64,18 +59,17 @@ def output_of(
     return [path if Path(path).suffix else directory(path) for path in paths]
 
 
-def snakemake_words(folder: Path, config: Path, more: Mapping[str, str]) -> list[str]:
+def snakemake_words(folder: Path, config: Mapping[str, str]) -> list[str]:
     """Returns the command line that starts Snakemake on a run folder, but for its executor.
 
     Args:
-        folder: the run folder.
-        config: file of the run's settings.
-        more: what the workflow is told beside them, such as the device.
+        folder: the run folder, with its `config.json`.
+        config: what may change from call to call: device and blender.
     """
     words = [sys.executable, "-m", "snakemake", "--snakefile", str(SNAKEFILE)]
-    words += ["--directory", str(folder.resolve()), "--configfile", str(config.resolve())]
-    if more:
-        words += ["--config", *(f"{name}={value}" for name, value in more.items())]
+    words += ["--directory", str(folder.resolve())]
+    if config:
+        words += ["--config", *(f"{name}={value}" for name, value in config.items())]
     # A newer version of the package does not throw away what an older one took hours for.
     return [*words, "--rerun-triggers", "mtime"]
 

@@ -10,13 +10,14 @@ from typing import Any
 
 from skyproof.assessment.run import START_S, Step
 from skyproof.cycles.rendering import Rendering
+from skyproof.documents import read_document
 from skyproof.layout import Layout
 from skyproof.reproduction.further_trainings import training_steps
 from skyproof.reproduction.held_out_detectors import stored_judges
 from skyproof.reproduction.jobs import Jobs
-from skyproof.reproduction.plan import Plan, command_step
+from skyproof.reproduction.own_steps import store_features, write_looks, write_report
+from skyproof.reproduction.plan import Plan, function_step
 from skyproof.reproduction.preset import Preset
-from skyproof.reproduction.step_commands import Features, Looks, Report
 from skyproof.reproduction.steps import (
     attack_step,
     check_step,
@@ -30,29 +31,26 @@ _LOOK_S = 0.1
 _MOST_SCENES = 200
 
 
-def plan_of_config(config: Mapping[str, Any]) -> Plan:
-    """Returns the plan that a run folder's config.json stands for, with paths inside that folder.
+def plan_of_run(device: str = "auto", blender: Path | str | None = None) -> Plan:
+    """Returns the plan of the run in the current folder, as its `config.json` has it.
 
-    It is read where the folder is the current one: the detectors that only judge are those that
-    lie in it.
-
-    Args:
-        config: the preset's values; also "device", "cycles" (1 for the Cycles column) and
-            "blender", which are no settings of a run, because they can change from call to call.
+    The held-out detectors are those that lie in the folder. Device and Blender may change from call
+    to call.
 
     Raises:
         ConfigurationError: a setting is missing, unknown, or cannot be.
+        StoredFileError: there is no `config.json`, or it is damaged.
     """
-    told = {name: config[name] for name in ("device", "cycles", "blender") if name in config}
-    settings = {name: value for name, value in config.items() if name not in told}
-    blender = told.get("blender")
+    layout = Layout(Path())
+    values: dict[str, Any] = read_document(
+        layout.config, dict[str, Any], "copy the preset there, or give another folder"
+    )
     return reproduction_plan(
-        Preset.parse(settings, "The run's config.json"),
-        Path(),
-        device=str(told.get("device", "auto")),
-        cycles=str(told.get("cycles", 0)) == "1",
-        blender=Path(str(blender)) if blender else None,
-        judges=stored_judges(Layout(Path())),
+        Preset.parse(values, "The run's config.json"),
+        layout.folder,
+        device=device,
+        blender=Path(blender) if blender else None,
+        judges=stored_judges(layout),
     )
 
 
@@ -61,7 +59,6 @@ def reproduction_plan(
     folder: Path,
     *,
     device: str = "auto",
-    cycles: bool = False,
     blender: Path | None = None,
     judges: Mapping[str, Sequence[str]] = MappingProxyType({}),
 ) -> Plan:
@@ -71,8 +68,7 @@ def reproduction_plan(
         preset: what is reproduced.
         folder: the run folder, as the steps are to name it.
         device: auto, cpu or cuda.
-        cycles: whether finished attacks and random controls are also scored on Cycles.
-        blender: which Blender draws them.
+        blender: Blender that draws the Cycles column; None for a plan without it.
         judges: by table, the detectors that only judge.
     """
     layout = Layout(folder)
@@ -147,7 +143,7 @@ def reproduction_plan(
     for name, folders in jobs.batches.items():
         score(name, folders)
     rendering = None
-    if cycles:
+    if blender is not None:
         rendering = Rendering(renderer="cycles", blender=blender, workers=preset.threads)
         steps.append(render_step(layout, sizes, "test", rendering=rendering, device=device))
         for name, folders in jobs.cycles_batches.items():
@@ -155,7 +151,7 @@ def reproduction_plan(
     for table in judges:
         for name, folders in jobs.judged_batches.items():
             score(name, folders, table=table)
-        if cycles:
+        if rendering is not None:
             for name, folders in jobs.cycles_batches.items():
                 score(f"cycles-{name}", folders, rendering, table)
     if jobs.weather_batches:
@@ -199,10 +195,11 @@ def reproduction_plan(
 def _report_step(layout: Layout, scores: Sequence[Step], checked: Sequence[str]) -> Step:
     """Returns the step that merges all scores and writes the report."""
     checks = [layout.precheck(name) for name in checked]
-    return command_step(
+    return function_step(
         "report",
         "report",
-        Report(out=layout.folder),
+        write_report,
+        {"out": layout.folder},
         (*checks, *(folder for step in scores for folder in step.outputs)),
         (layout.results, layout.report),
         renewed=True,
@@ -212,36 +209,44 @@ def _report_step(layout: Layout, scores: Sequence[Step], checked: Sequence[str])
 
 def _looks_step(layout: Layout, camouflages: Sequence[str]) -> Step:
     """Returns the step that measures what camouflages look like."""
-    command = Looks(
-        out=layout.folder / "looks",
-        original=layout.dataset("test"),
-        camouflages=tuple(layout.camouflage(name) for name in camouflages),
-        backgrounds=layout.backgrounds,
-        fleet=layout.fleets / "test",
+    arguments = {
+        "out": layout.folder / "looks",
+        "original": layout.dataset("test"),
+        "camouflages": tuple(layout.camouflage(name) for name in camouflages),
+        "backgrounds": layout.backgrounds,
+        "fleet": layout.fleets / "test",
+    }
+    inputs = [layout.dataset("test"), layout.backgrounds, layout.fleets]
+    inputs += [layout.camouflage(name) / "camouflage.json" for name in camouflages]
+    return function_step(
+        "looks",
+        "looks",
+        write_looks,
+        arguments,
+        tuple(inputs),
+        (layout.folder / "looks",),
+        effort_s=2 * START_S + _LOOK_S * len(camouflages),
     )
-    inputs = [command.original, layout.backgrounds, layout.fleets]
-    inputs += [folder / "camouflage.json" for folder in command.camouflages]
-    effort_s = 2 * START_S + _LOOK_S * len(camouflages)
-    return command_step("looks", "looks", command, tuple(inputs), (command.out,), effort_s=effort_s)
 
 
 def _features_step(layout: Layout, preset: Preset, camouflages: Sequence[str], device: str) -> Step:
     """Returns the step that stores the attacked detectors' features."""
-    command = Features(
-        detectors=tuple(layout.detector(name) for name in preset.detectors),
-        out=layout.folder / "features.parquet",
-        original=layout.dataset("test"),
-        camouflages=tuple(layout.camouflage(name) for name in camouflages),
-        backgrounds=layout.backgrounds,
-        fleet=layout.fleets / "test",
-        seed=preset.seed,
-        device=device,
-    )
-    inputs = [command.original, layout.backgrounds, layout.fleets]
-    inputs += [folder / "detector.json" for folder in command.detectors]
-    inputs += [folder / "camouflage.json" for folder in command.camouflages]
+    out = layout.folder / "features.parquet"
+    arguments = {
+        "detectors": tuple(layout.detector(name) for name in preset.detectors),
+        "out": out,
+        "original": layout.dataset("test"),
+        "camouflages": tuple(layout.camouflage(name) for name in camouflages),
+        "backgrounds": layout.backgrounds,
+        "fleet": layout.fleets / "test",
+        "seed": preset.seed,
+        "device": device,
+    }
+    inputs = [layout.dataset("test"), layout.backgrounds, layout.fleets]
+    inputs += [layout.detector(name) / "detector.json" for name in preset.detectors]
+    inputs += [layout.camouflage(name) / "camouflage.json" for name in camouflages]
     images = min(preset.world.test_images, _MOST_SCENES) * len(camouflages)
     effort_s = START_S + render_s(Rendering()) * preset.world.megapixels(images)
-    return command_step(
-        "features", "features", command, tuple(inputs), (command.out,), effort_s=effort_s
+    return function_step(
+        "features", "features", store_features, arguments, tuple(inputs), (out,), effort_s=effort_s
     )

@@ -16,8 +16,8 @@ from skyproof.cycles.rendering import Rendering
 from skyproof.imagery.settings import tiling_for_images
 from skyproof.layout import Layout
 from skyproof.ranges import Count, Fraction, GroundResolution, check_ranges
-from skyproof.reproduction.plan import command_step
-from skyproof.reproduction.step_commands import Scenes
+from skyproof.reproduction.own_steps import draw_scenes
+from skyproof.reproduction.plan import command_step, function_step
 from skyproof.scenes.places import Places
 from skyproof.scenes.sensor import BlurChoice
 from skyproof.scenes.settings import SceneSettings
@@ -180,17 +180,19 @@ def vehicles_step(layout: Layout, sizes: WorldSizes, seed: int) -> Step:
 def scene_step(layout: Layout, sizes: WorldSizes, split: Rendered, seed: int) -> Step:
     """Returns the step that draws the scenes of a split."""
     ground = _ground_of(split)
-    command = Scenes(
-        backgrounds=layout.backgrounds,
-        fleet=layout.fleets / ground,
-        out=layout.scenes(split),
-        split=ground,
-        count=sizes.count(split),
-        settings=sizes.scenes(split),
-        seed=seed,
-    )
+    arguments = {
+        "backgrounds": layout.backgrounds,
+        "fleet": layout.fleets / ground,
+        "out": layout.scenes(split),
+        "split": ground,
+        "count": sizes.count(split),
+        "settings": sizes.scenes(split),
+        "seed": seed,
+    }
     inputs = (layout.backgrounds, layout.fleets)
-    return command_step("scenes", split, command, inputs, (layout.scenes(split),), effort_s=START_S)
+    return function_step(
+        "scenes", split, draw_scenes, arguments, inputs, (layout.scenes(split),), effort_s=START_S
+    )
 
 
 def render_s(rendering: Rendering) -> float:
