@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -240,7 +241,6 @@ def _features_step(layout: Layout, preset: Preset, camouflages: Sequence[str], d
         "backgrounds": layout.backgrounds,
         "fleet": layout.fleets / "test",
         "seed": preset.seed,
-        "device": device,
     }
     inputs = [layout.dataset("test"), layout.backgrounds, layout.fleets]
     inputs += [layout.detector(name) / "detector.json" for name in preset.detectors]
@@ -248,5 +248,12 @@ def _features_step(layout: Layout, preset: Preset, camouflages: Sequence[str], d
     images = min(preset.world.test_images, _MOST_SCENES) * len(camouflages)
     effort_s = START_S + render_s(Rendering()) * preset.world.megapixels(images)
     return function_step(
-        "features", "features", store_features, arguments, tuple(inputs), (out,), effort_s=effort_s
+        "features",
+        "features",
+        # Settings decide results; a device does not.
+        partial(store_features, device=device),
+        arguments,
+        tuple(inputs),
+        (out,),
+        effort_s=effort_s,
     )
