@@ -27,6 +27,7 @@ import pytest  # noqa: E402
 import torch  # noqa: E402
 
 from tests.drawn_once import figures_are_drawn_once  # noqa: E402
+from tests.expert_options import expert_options  # noqa: E402
 from tests.few_scenes import few_scenes_judge  # noqa: E402
 
 torch.set_num_threads(1)
@@ -36,6 +37,13 @@ torch.set_num_threads(1)
 def few_scenes() -> Iterator[None]:
     """Commands judge what they learn or choose on few scenes."""
     with few_scenes_judge():
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def every_setting() -> Iterator[None]:
+    """Commands take settings that the command line does not show."""
+    with expert_options():
         yield
 
 

@@ -176,12 +176,12 @@ def pair(
 def single_commands(run: Path) -> dict[str, list[str]]:
     """Commands on the unharmed run's files, but for the place that they write."""
     world = f"--backgrounds {run}/backgrounds --fleet {run}/fleets"
-    few = "--settings.steps 4 --settings.batch-size 2 --device cpu"
+    few = "--settings.steps 4 --device cpu"
     data = f"--data {run}/datasets/test --validation {run}/datasets/test"
     judged = f"--original {run}/datasets/test --camouflages {run}/camouflages/T-U"
     detectors = f"--detectors {run}/detectors/retinanet"
     commands = {
-        "ground": "ground --tiles 2 1 1 1",
+        "ground": "ground --tiling.size-px 96",
         "vehicles": "vehicles --counts 3 2 2 3",
         "render": f"render --scenes {run}/scenes/test.jsonl {world}/test",
         "train": f"train --detector retinanet {data} {few}",

@@ -165,7 +165,7 @@ class Loop:
         except NotFiniteError as error:
             raise NotFiniteError(
                 f"What step {self.step} left in {path} would not be finite, so the last checkpoint "
-                "stays; begin again in another folder, with a lower --settings.learning-rate."
+                "stays; begin again in another folder, with a lower learning rate."
             ) from error
 
 

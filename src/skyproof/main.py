@@ -164,7 +164,7 @@ def _parse(words: Sequence[str], commands: Commands) -> Any:
 def _as_typed(message: str, words: Sequence[str]) -> str:
     """Names the option that a message begins with as the user wrote it.
 
-    So "learning_rate expects ..." becomes "--settings.learning-rate expects ...".
+    So "steps expects ..." becomes "--settings.steps expects ...".
     """
     field, space, rest = message.partition(" ")
     options = [word.partition("=")[0] for word in words[1:] if word.startswith("--")]

@@ -155,7 +155,7 @@ def judge(place: Path, images: str, *, name: str = "retinanet") -> Path:
 def test_judges_are_asked_for(tmp_path: Path, skyproof: Skyproof) -> None:
     out = tmp_path / "run"
     first = judge(tmp_path / "first", "photographs")
-    asked = ("reproduce", "--preset", TINY, "--out", out, "--judges", f"real={first}")
+    asked = ("reproduce", "--preset", TINY, "--out", out, "--held-out", f"real={first}")
     answer = skyproof(*asked, "--dry-run")
     assert answer.code == 0, answer.err
     assert "22 steps" in answer.out
@@ -172,10 +172,10 @@ def test_judges_of_different_images_in_one_table_are_refused(
 ) -> None:
     first = judge(tmp_path / "first", "photographs")
     second = judge(tmp_path / "second", "renders", name="faster_rcnn")
-    given = ("reproduce", "--preset", TINY, "--out", tmp_path / "run", "--judges", first)
+    given = ("reproduce", "--preset", TINY, "--out", tmp_path / "run", "--held-out", first)
     skyproof(*given, second).refused("learnt from different images", "photographs", "renders")
     skyproof(*given, tmp_path / "nowhere").refused("nowhere", "detector.json")
-    skyproof(*given, f"a b={second}").refused("--judges", "TABLE=")
+    skyproof(*given, f"a b={second}").refused("--held-out", "TABLE=")
     assert not (tmp_path / "run").exists()
 
 
@@ -188,7 +188,7 @@ def test_a_run_keeps_its_judges_and_refuses_others_in_their_place(
         "skyproof.reproduction.snakemake.snakemake_words", stub_snakemake(tmp_path, out)
     )
     given = ("reproduce", "--preset", TINY, "--out", out, "--cores", 2)
-    answer = skyproof(*given, "--judges", first)
+    answer = skyproof(*given, "--held-out", first)
     assert answer.code == 0, answer.err
     assert "22 steps" in answer.out
     stored = out / "judges" / "judges" / "detectors" / "retinanet" / "detector.json"
@@ -196,8 +196,8 @@ def test_a_run_keeps_its_judges_and_refuses_others_in_their_place(
     # They belong to the run from then on, asked for or not.
     assert "22 steps" in skyproof(*given).out
     other = judge(tmp_path / "other", "other photographs")
-    skyproof(*given, "--judges", other).refused("table judges of other judges", "OTHER=")
-    assert "24 steps" in skyproof(*given, "--judges", f"more={other}").out
+    skyproof(*given, "--held-out", other).refused("table judges of other judges", "OTHER=")
+    assert "24 steps" in skyproof(*given, "--held-out", f"more={other}").out
 
 
 def test_another_run_in_the_folder(tmp_path: Path, skyproof: Skyproof) -> None:

@@ -234,7 +234,7 @@ def test_other_packages_stay_out_of_blenders_python(tmp_path, monkeypatch):
 
 
 def test_no_workers_are_refused(tmp_path):
-    with pytest.raises(ConfigurationError, match="--workers expects at least 1"):
+    with pytest.raises(ConfigurationError, match="count expects at least 1"):
         Workers(Fake(tmp_path, []).blender, 0)
 
 

@@ -25,35 +25,30 @@ _UNDECIDED = ("out", "device", "cycles", "blender")
 
 @dataclass(frozen=True)
 class Request:
-    """What is assessed, on which imagery, and what it is to show.
+    """The detectors, the imagery and the requirement of an assessment.
 
     Attributes:
-        detectors: detector folders, attacked together and judged one by one; "retinanet" and
-            "faster_rcnn" name those that come with skyproof. A single one may be a checkpoint file
-            of Ultralytics or torchvision.
-        out: run folder; the report goes there.
-        imagery: orthophotos or photographs, or folders of them: GeoTIFFs, or JPEG/PNG with --gsd.
-            Without any, ground is drawn, and the answer says nothing of your places.
-        gsd: metres per pixel of images that do not say it themselves.
-        labels: labels of the vehicles in the imagery: COCO, YOLO or DOTA text, GeoJSON, GeoPackage
-            or Shapefile. Without any, the threshold stays as it is, and nothing is said of
-            photographs.
-        label_classes: the labels' classes that are vehicles; may be left out where there is only
-            one class.
-        vehicle_classes: a checkpoint's classes that are vehicles (names of Ultralytics, numbers of
-            torchvision).
+        detectors: detector folders, "retinanet" or "faster_rcnn", which are attacked together and
+            tested one by one, or a single checkpoint file of Ultralytics or torchvision.
+        out: run folder to write.
+        imagery: orthophotos or folders of them, as GeoTIFF, or JPEG or PNG with `--gsd`. Without
+            any, ground is drawn, and the result says nothing about your sites.
+        gsd: metres per pixel of imagery that does not state it.
+        labels: vehicle labels of the imagery: COCO, YOLO or DOTA text, GeoJSON, GeoPackage or
+            Shapefile. They freeze the threshold.
+        label_classes: vehicle classes of the labels, if they have several classes.
+        vehicle_classes: vehicle classes of a checkpoint (Ultralytics: names, torchvision: numbers).
         architecture: architecture of a torchvision checkpoint, as for `skyproof import`.
-        detector_gsd: metres per pixel that a checkpoint was made for; 0.125 where not given.
-        accept: share of found vehicles that a detector may lose to the worst attack; with `reject`,
-            the report says whether it is accepted, and verdict.json is written.
-        reject: the share lost from which on it is refused.
-        producer_risk: largest chance that a detector which loses `accept` is rejected.
-        consumer_risk: largest chance that a detector which loses `reject` is accepted.
-        cycles: the test scenes are also judged as Blender Cycles draws them; a finished run goes on
-            with that part alone.
-        blender: a Blender 4.5 executable, or a Python that has bpy 4.5, for --cycles; where not
-            given, what `make blender` made, then `blender` on the PATH.
-        seed: decides everything that is drawn.
+        detector_gsd: metres per pixel that a checkpoint was made for (0.125).
+        accept: share of found vehicles that the worst attack may hide. With `--reject` the report
+            accepts or rejects each detector.
+        reject: share of hidden vehicles from which a detector is rejected.
+        producer_risk: largest chance that a detector at `--accept` is rejected.
+        consumer_risk: largest chance that a detector at `--reject` is accepted.
+        cycles: render the test scenes with Blender Cycles, too, also after a finished run.
+        blender: Blender 4.5, or a Python with bpy 4.5 (default: of `make blender`, then of the
+            PATH).
+        seed: seed of everything that is drawn.
         device: auto, cpu or cuda.
     """
 

@@ -221,7 +221,7 @@ class _Run:
         if not math.isfinite(now.loss):
             raise NotFiniteError(
                 f"The loss of {camouflage.name} is {now.loss} at step {step}; attack again in "
-                "another folder, with a lower --settings.learning-rate than "
+                "another folder, with a lower learning rate than "
                 f"{settings.learning_rate:g}."
             )
         descend(camouflage, optimiser, images, gradient)

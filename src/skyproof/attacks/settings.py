@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Annotated
 
 from msgspec import Meta
+from tyro.conf import Suppress
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
@@ -37,12 +38,12 @@ class AttackSettings:
     """
 
     steps: Count = 400
-    batch_size: Annotated[int, Meta(ge=1, le=4096)] = 4
-    learning_rate: Annotated[float, Meta(gt=0, le=10)] = 0.05
-    balance_batches: Annotated[int, Meta(ge=1, le=1000)] = 4
-    keep_at: Annotated[tuple[Count, ...], Meta(max_length=1000)] = ()
-    preview_every: Count = 100
-    checkpoint_every: Count = 25
+    batch_size: Suppress[Annotated[int, Meta(ge=1, le=4096)]] = 4
+    learning_rate: Suppress[Annotated[float, Meta(gt=0, le=10)]] = 0.05
+    balance_batches: Suppress[Annotated[int, Meta(ge=1, le=1000)]] = 4
+    keep_at: Suppress[Annotated[tuple[Count, ...], Meta(max_length=1000)]] = ()
+    preview_every: Suppress[Count] = 100
+    checkpoint_every: Suppress[Count] = 25
     seed: Seed = 0
 
     def __post_init__(self) -> None:

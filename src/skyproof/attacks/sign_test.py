@@ -58,7 +58,7 @@ def sign_test(
         if not bool(torch.cat(scores).isfinite().all()):
             raise NotFiniteError(
                 f"The scores of the detector {name} are not finite on the attack's scenes; train "
-                "or import it again, or attack with a lower --settings.learning-rate."
+                "or import it again, or attack with a lower learning rate."
             )
     return {name: _compared(torch.cat(before[name]), torch.cat(after[name])) for name in before}
 

@@ -24,7 +24,7 @@ class CamouflageSettings:
     """The numbers of a camouflage that its name does not tell; the defaults are the paper's.
 
     Attributes:
-        colours: how many colours Lc learns, and Fc takes from the ground (section 5.4).
+        colours: number of colours of Lc and Fc (section 5.4).
         blocks: pixel blocks along a side of the map, for Pix; must divide its 512 texels.
         turn_steps: steps after which a parallel combination changes sides.
     """

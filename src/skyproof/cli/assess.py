@@ -9,14 +9,14 @@ from skyproof.assessment.request import Request
 
 @dataclass(frozen=True)
 class Assess(Request):
-    """Puts detectors to the suite of attacks on your imagery, and says whether they pass.
+    """Tests detectors on your imagery with a fixed suite of attacks, and accepts or rejects them.
 
-    Imagery is tiled and cleared of its vehicles, thresholds are frozen on its labels, the detectors
-    checked, every attack of the suite made against them and measured beside its controls. Stop it
-    whenever you like and give the same command again: it goes on after the last finished step.
+    It tiles the imagery, clears it of vehicles, freezes thresholds on its labels, prechecks the
+    detectors, and measures every attack beside its controls. A stopped run resumes with the same
+    command.
 
     Attributes:
-        plan: only say how many test scenes the request needs and has, and how long it takes.
+        plan: only estimate the scenes, tiles and time that the request needs.
     """
 
     plan: bool = False

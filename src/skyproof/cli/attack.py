@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from msgspec import Meta
+from tyro.conf import Suppress
 
 from skyproof.attacks.settings import AttackSettings
 from skyproof.camouflage.name import CamouflageName
@@ -29,39 +30,33 @@ BEST_OF = 32
 
 @dataclass(frozen=True)
 class Attack:
-    """Makes camouflages by name: learnt against detectors, or drawn at random.
+    """Makes camouflages by name: optimised against detectors, or drawn at random.
 
-    Names: T-U, or T- with any of Pix (blocks), Lc or Fc (few learnt or fixed colours), Ma (painted
-    parts only), such as T-PixFcMa; S-O@0.4, a shape of perturbation magnitude 0.4; C-Fc-seq@0.2, a
-    shape on a finished texture; C-Fc-par@0.2, texture and shape in turns. R-PixFcMa, R-S-O@0.4 and
-    R-C-Fc@0.2 are their random controls, drawn and not learnt. R-Ma_plain is the best of 27 plain
-    paints on painted parts (R-U_plain: all over), R-PixFcMa_best the best of --draws random draws,
-    R-PixFcMa_search what a random search finds with as many images as an attack sees: controls that
-    are chosen on the attack's scenes, and not learnt. R-S-O@0.4_plain has every vertex out, and
-    R-C-Fc-seq@0.2 puts a random shape on the texture of C-Fc-seq@0.2 (--texture). "-1", "-2" at the
-    end number repeats.
-
-    A stopped attack goes on where it was when the command is given again; finished camouflages are
-    kept.
+    Textures: T-U (free), or T- with Pix (blocks), Lc or Fc (few optimised or fixed colours), Ma
+    (painted parts), such as T-PixFcMa. Shapes: S-O@0.4 has magnitude 0.4. Combinations:
+    C-Fc-seq@0.2, C-Fc-par@0.2. Random controls: R-PixFcMa, R-S-O@0.4, R-C-Fc@0.2. Stronger
+    controls: R-Ma_plain (best of 27 paints), R-PixFcMa_best (best of 32 draws), R-PixFcMa_search
+    (random search). "-1" at the end numbers a repeat. A stopped attack resumes with the same
+    command.
 
     Attributes:
-        names: what is made, as tables show it.
-        out: folder; every camouflage gets a folder of its name in it.
-        detectors: detector folders, attacked together; needed for what is learnt or chosen.
-        backgrounds: background set folder, whose attack split is used; needed for the same.
-        fleet: fleet folder; needed for the same.
-        palette: the colours of Fc, and those from which the colours of Lc and Pix are learnt: a
-            palette file, or a background set whose colours are taken; those of --backgrounds where
-            not given.
-        texture: folder of the finished texture that a sequential combination puts its shape on; for
-            a random shape on an attack's own texture it may be the finished attack's.
-        image_px: image side; the first detector's training size where not given.
+        names: names of the camouflages.
+        out: folder to write; every camouflage gets a folder in it.
+        detectors: detector folders, attacked together; not needed for random controls.
+        backgrounds: background set folder, whose attack split is used; not needed for random
+            controls.
+        fleet: fleet folder; not needed for random controls.
+        palette: palette file, or background set whose colours are taken; `--backgrounds` by
+            default.
+        texture: folder of the finished texture of a sequential combination, or under a random
+            shape.
+        image_px: side of the images in pixels; None is the first detector's training size.
         conditions: weather and light that scenes are drawn from, each equally likely.
-        places: where vehicles stand: uniform (anywhere), removed (where skyproof clear removed
-            vehicles) or drivable (on ground where vehicles may stand).
-        draws: of how many random draws the best is taken.
-        camouflage: what the names leave open.
-        settings: steps, batch, learning rate, seed; the seed is also that of random draws.
+        places: places of vehicles: uniform (any), removed (of vehicles that `skyproof clear`
+            removed) or drivable (ground for vehicles).
+        draws: number of random draws of a best-of-N control.
+        camouflage: numbers that the names leave open.
+        settings: steps and seed.
         device: auto, cpu or cuda.
     """
 
@@ -72,11 +67,11 @@ class Attack:
     fleet: Path | None = None
     palette: Path | None = None
     texture: Path | None = None
-    image_px: Annotated[int, Meta(ge=96, le=16_384)] | None = None
-    conditions: tuple[str, ...] = ("clear",)
+    image_px: Suppress[Annotated[int, Meta(ge=96, le=16_384)] | None] = None
+    conditions: Suppress[tuple[str, ...]] = ("clear",)
     places: Places = "uniform"
-    draws: Annotated[int, Meta(ge=2, le=100)] = BEST_OF
-    camouflage: CamouflageSettings = field(default_factory=CamouflageSettings)
+    draws: Suppress[Annotated[int, Meta(ge=2, le=100)]] = BEST_OF
+    camouflage: Suppress[CamouflageSettings] = field(default_factory=CamouflageSettings)
     settings: AttackSettings = field(default_factory=AttackSettings)
     device: str = "auto"
 

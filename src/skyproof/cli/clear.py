@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tyro.conf import Positional
+from tyro.conf import Positional, Suppress
 
 from skyproof.console import say, stage_bars
 from skyproof.errors import ConfigurationError
@@ -21,21 +21,18 @@ if TYPE_CHECKING:
 class Clear:
     """Removes the vehicles from tiled imagery, so that it can serve as backgrounds.
 
-    Labelled vehicles and what a detector finds are masked with their shadows and filled with
-    ground; a detector checks the result, and sheets/index.html shows a person what was done. Where
-    and how the vehicles stood is kept in index.json, for scenes with vehicles at their places. Give
-    the cleared folder with --reject to take out the tiles that do not look right.
+    Labelled and detected vehicles are masked with their shadows and filled with ground. A detector
+    checks the result, and sheets/index.html shows it. index.json records the places of the
+    vehicles.
 
     Attributes:
-        folder: tiled folder, as `skyproof ground` writes it from imagery; with --reject a cleared
-            one.
-        out: tiled folder to write; not with --reject.
-        reject: ids of tiles to take out of a cleared folder, as on its sheets, with their
-            annotations. Their pictures stay on disk.
+        folder: tiled folder of `skyproof ground`; with `--reject` a cleared one.
+        out: tiled folder to write; not with `--reject`.
+        reject: ids of bad tiles to take out of a cleared folder, as on its sheets.
         detector: detector folder; it finds vehicles that are not labelled.
         check_detector: detector folder that checks the result; the same detector by default, unless
-            its own check failed.
-        device: auto, cpu or cuda; where the detectors run.
+            it failed its precheck.
+        device: auto, cpu or cuda.
         settings: how vehicles are removed.
     """
 
@@ -45,7 +42,7 @@ class Clear:
     detector: Path | None = None
     check_detector: Path | None = None
     device: str = "auto"
-    settings: ClearSettings = field(default_factory=ClearSettings)
+    settings: Suppress[ClearSettings] = field(default_factory=ClearSettings)
 
     def __post_init__(self) -> None:
         if (self.out is None) == (not self.reject):

@@ -11,19 +11,17 @@ from skyproof.ranges import Seed
 
 @dataclass(frozen=True)
 class Demo:
-    """Assesses the two detectors that come with skyproof, on drawn ground, by two attacks.
+    """Assesses the two reference detectors on drawn ground with two attacks.
 
-    It takes about five minutes on two CPU cores. Stop it whenever you like and give the same
-    command again: it goes on after the last finished step.
+    It takes about five minutes on two CPU cores. A stopped run resumes with the same command.
 
     Attributes:
-        out: run folder; the report goes there.
-        seed: decides everything that is drawn.
+        out: run folder to write.
+        seed: seed of everything that is drawn.
         device: auto, cpu or cuda.
-        cycles: the test scenes are also judged as Blender Cycles draws them; a finished demo goes
-            on with that part alone.
-        blender: a Blender 4.5 executable, or a Python that has bpy 4.5, for --cycles; where not
-            given, what `make blender` made, then `blender` on the PATH.
+        cycles: render the test scenes with Blender Cycles, too, also after a finished run.
+        blender: Blender 4.5, or a Python with bpy 4.5 (default: of `make blender`, then of the
+            PATH).
     """
 
     out: Path = Path("runs/demo")

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tyro.conf import Positional
+from tyro.conf import Positional, Suppress
 
 from skyproof.console import progress_bar, say
 from skyproof.errors import ConfigurationError
@@ -22,30 +22,27 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Ground:
-    """Draws procedural ground, or cuts orthophotos into tiles; both in four splits.
+    """Cuts orthophotos into tiles, or draws ground, in four splits.
 
     With labels, the tiles of every split also become a dataset to train on.
 
     Attributes:
-        sources: GeoTIFF, JPEG, PNG, JPEG 2000 or VRT images, or folders of them; without any,
-            ground is drawn.
+        sources: images (GeoTIFF, JPEG, PNG, JPEG 2000, VRT) or folders of them; ground is drawn
+            without any.
         out: background set to write.
-        tiles: how many tiles are drawn per split (train, validation, attack, test), where no
-            sources are given.
-        blur_sigma_px: blur of vehicles on this ground: a number of pixels, or "paper" for the
-            paper's 2.4; where it is not given, that of the ground itself, of each drawn tile its
-            own and on imagery as measured.
-        seed: seed of procedural ground, and of the order in which blocks of imagery go to the
-            splits.
-        tiling: how the ground is cut.
-        source: what the sources do not say themselves.
-        labels: where labels of vehicles in the sources come from.
+        tiles: number of drawn tiles per split (train, validation, attack, test).
+        blur_sigma_px: blur of vehicles in pixels, or "paper" for the paper's 2.4; None is the blur
+            of the ground.
+        seed: seed of drawn ground, and of the blocks of imagery that go to each split.
+        tiling: size of the tiles.
+        source: facts that the images do not state.
+        labels: vehicle labels of the images.
     """
 
     out: Path
     sources: Positional[tuple[Path, ...]] = ()
-    tiles: tuple[Count, Count, Count, Count] = (64, 12, 24, 40)
-    blur_sigma_px: BlurChoice | None = None
+    tiles: Suppress[tuple[Count, Count, Count, Count]] = (64, 12, 24, 40)
+    blur_sigma_px: Suppress[BlurChoice | None] = None
     seed: Seed = 0
     tiling: TilingSettings = field(default_factory=TilingSettings)
     source: SourceSettings = field(default_factory=SourceSettings)

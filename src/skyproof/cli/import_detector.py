@@ -16,25 +16,21 @@ from skyproof.ranges import GroundResolution, Name
 
 @dataclass(frozen=True)
 class Import:
-    """Imports a detector of torchvision or Ultralytics from its checkpoint; freezes its threshold.
+    """Imports a checkpoint of torchvision or Ultralytics and freezes the detector's threshold.
 
-    Nothing that stands in the file is run. The folder it writes is used like that of a detector
-    trained here.
+    No code of the file is run. The new folder is used like that of a detector trained here.
 
     Attributes:
-        checkpoint: .pt or .pth file as torch.save writes it, or .safetensors.
-        kind: the library it is of.
-        vehicle_classes: what counts as vehicle: names of the checkpoint's classes (ultralytics),
-            label numbers (torchvision; of COCO 3 is car, 6 bus, 8 truck).
-        validation: dataset folder that freezes the threshold; the detector will judge images of
-            its resolution.
+        checkpoint: .pt or .pth file of torch.save, or .safetensors.
+        kind: library of the checkpoint.
+        vehicle_classes: vehicle classes of the checkpoint: names (ultralytics) or label numbers
+            (torchvision; COCO: 3 car, 6 bus, 8 truck).
+        validation: dataset folder that freezes the threshold, at the resolution of later use.
         out: detector folder to write.
-        architecture: of torchvision: retinanet_resnet50_fpn, retinanet_resnet50_fpn_v2,
-            fasterrcnn_resnet50_fpn, fasterrcnn_resnet50_fpn_v2, fasterrcnn_mobilenet_v3_large_fpn,
-            fasterrcnn_mobilenet_v3_large_320_fpn (the same weights, 150 regions instead of 1000) or
-            fcos_resnet50_fpn.
-        gsd: metres per pixel the detector was made for, where the images have another resolution.
-        name: of the detector in tables; the last part of --out where not given.
+        architecture: torchvision's name of the architecture: {retinanet,fasterrcnn}_resnet50_fpn or
+            ..._fpn_v2, fasterrcnn_mobilenet_v3_large_fpn or ..._320_fpn, or fcos_resnet50_fpn.
+        gsd: metres per pixel that the detector was made for, if it is not that of the images.
+        name: name in tables; the last part of `--out` by default.
         device: auto, cpu or cuda.
     """
 
@@ -47,7 +43,7 @@ class Import:
     out: Path
     architecture: str | None = None
     gsd: GroundResolution | None = None
-    name: Name | None = None
+    name: tyro.conf.Suppress[Name | None] = None
     device: str = "auto"
 
     def run(self) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from msgspec import Meta
+from tyro.conf import Suppress
 
 from skyproof.console import progress_bar, say
 from skyproof.errors import ConfigurationError, RunFolderError
@@ -26,44 +27,38 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Precheck:
-    """Tells, before any attack, whether detectors are worth attacking.
+    """Checks detectors before any attack: baseline, plain paints, blur, random controls and sun.
 
-    A detector that a plain paint, a sharper picture or a lower sun makes blind ranks no attacks:
-    each of them hides everything. Measured are clean AP, precision and recall on rendered scenes
-    and on photographs (--frames), and what 54 plain and eight two-tone paints, four sharpnesses,
-    six random controls and four suns hide. The answer is stored as `precheck.json` in every
-    detector folder, and every report opens with it. Detectors that are checked already are shown
-    again.
-
-    With --freeze it instead writes a copy of one detector whose threshold is frozen on --frames.
+    It changes one thing at a time in the same scenes. A detector that misses vehicles in a plain
+    paint fails, because an attack says nothing about it. The result is precheck.json in every
+    detector folder, and every report shows it. With `--freeze` the command instead writes a copy of
+    a detector with its threshold frozen on `--frames`.
 
     Attributes:
         detectors: detector folders.
         backgrounds: background set folder.
         fleet: fleet folder.
-        scenes: scene file on these backgrounds and vehicles; its first --scenes-count are taken.
-            Where not given, scenes are drawn on the test split.
-        scenes_count: how many scenes; the cost goes with it, and so does how sure the answer is.
-        image_px: side of the scenes that are drawn; the first detector's training size where not
-            given.
-        draws: of every random control.
+        scenes: scene file on these backgrounds and vehicles; None draws scenes on the test split.
+        scenes_count: number of scenes; more cost more and narrow the intervals.
+        image_px: side of drawn scenes in pixels; None is the first detector's training size.
+        draws: number of draws of each random control.
         frames: annotated photographs, [NAME=]FOLDER[/PATTERN][:LABELS]@GSD[#CLASS,...], as in
             `score`.
-        frame_classes: class names that count as vehicles in frames without classes of their own.
-        freeze: detector folder to write, a copy with another threshold; the old one stays.
-        seed: of scenes, random controls and the bootstrap.
+        frame_classes: vehicle classes of frames that name none.
+        freeze: detector folder to write, a copy with another threshold.
+        seed: seed of scenes, random controls and the bootstrap.
         device: auto, cpu or cuda.
     """
 
     detectors: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR ...")]
     backgrounds: Path | None = None
     fleet: Path | None = None
-    scenes: Path | None = None
+    scenes: Suppress[Path | None] = None
     scenes_count: Count = 60
-    image_px: Annotated[int, Meta(ge=96, le=16_384)] | None = None
-    draws: Annotated[int, Meta(ge=1, le=100)] = 5
+    image_px: Suppress[Annotated[int, Meta(ge=96, le=16_384)] | None] = None
+    draws: Suppress[Annotated[int, Meta(ge=1, le=100)]] = 5
     frames: tuple[str, ...] = ()
-    frame_classes: tuple[str, ...] = ("car", "minibus")
+    frame_classes: Suppress[tuple[str, ...]] = ("car", "minibus")
     freeze: Path | None = None
     seed: Seed = 0
     device: str = "auto"

@@ -28,21 +28,20 @@ def usual_scenes() -> SceneSettings:
 class Render(Rendering):
     """Renders scenes to images with COCO labels, with or without a camouflage.
 
-    Without --scenes it samples scenes on a split's ground and keeps them as `scenes.jsonl` in the
-    dataset. With --renderer cycles Blender path-traces the same scenes, with the same labels.
+    Without `--scenes` it samples scenes on a split's ground and keeps them as scenes.jsonl. With
+    `--renderer cycles` Blender path-traces the same scenes, with the same labels.
 
     Attributes:
-        scenes: scene file (JSON lines), such as `scenes.jsonl` of another dataset.
-        backgrounds: background set folder; it also says how many metres a pixel has.
+        scenes: scene file, such as scenes.jsonl of another dataset.
+        backgrounds: background set folder.
         fleet: fleet folder.
         out: dataset folder to write.
-        split: ground of the background set on which scenes are sampled.
+        split: split whose ground sampled scenes use.
         count: number of sampled scenes.
         settings: distribution of sampled scenes.
         seed: seed of sampled scenes.
-        camouflage: camouflage folder; without one the vehicles stay as they are.
-        labels: coco (annotations.json), or yolo to write YOLO text and data.yaml as well, as
-            Ultralytics trains from.
+        camouflage: camouflage folder; vehicles stay as they are without one.
+        labels: coco (annotations.json), or yolo for YOLO text and data.yaml as well.
         device: auto, cpu or cuda.
     """
 

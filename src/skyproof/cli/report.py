@@ -11,16 +11,15 @@ from skyproof.ranges import Fraction, Risk
 
 @dataclass(frozen=True)
 class Report:
-    """Writes results.json and report.html from all scores of a run folder.
+    """Writes results.json and report.html of a run folder again, from all of its scores.
 
     Attributes:
-        run_folder: as assess or demo leaves it, or a folder with scores/NAME folders that
-            score wrote.
-        accept: share of found vehicles that a detector may lose to the worst attack; with `reject`,
-            the report says which detectors are accepted, and verdict.json is written, too.
-        reject: the share lost from which on it is refused.
-        producer_risk: chance at most that a detector which loses `accept` is rejected.
-        consumer_risk: chance at most that one which loses `reject` is accepted.
+        run_folder: folder that assess or demo wrote, or a folder with scores in `scores/`.
+        accept: share of found vehicles that the worst attack may hide. With `--reject` the report
+            accepts or rejects each detector, and writes verdict.json.
+        reject: share of hidden vehicles from which a detector is rejected.
+        producer_risk: largest chance that a detector at `--accept` is rejected.
+        consumer_risk: largest chance that a detector at `--reject` is accepted.
     """
 
     run_folder: Path

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from tyro.conf import Suppress
+
 from skyproof.console import say
 from skyproof.cycles.rendering import Rendering
 from skyproof.errors import ConfigurationError
@@ -22,25 +24,24 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Score(Rendering):
-    """Measures detectors: with and without camouflages, and on annotated images.
+    """Measures detectors with and without camouflages, and on annotated images.
 
-    The scenes of --original are drawn again in every camouflage; a camouflage T-x is compared with
-    its random controls R-x-0, R-x-1, ... With --frames alone only the detectors' baseline is
-    measured. A score folder inside the `scores` folder of a run is taken into the run's report.
+    The scenes of `--original` are rendered again in every camouflage. T-x is compared with its
+    random controls R-x-0, R-x-1, and so on. With `--frames` alone only the baseline is measured. A
+    run's report includes every score folder in its `scores` folder.
 
     Attributes:
         detectors: detector folders.
-        out: score folder to write, such as `my_run/scores/mine`.
-        original: dataset without camouflage, whose scenes are drawn again.
-        camouflages: camouflage folders; a folder's name is the camouflage's in the tables.
-        backgrounds: background set folder of the scenes; needed for --camouflages.
-        fleet: fleet folder of the scenes' vehicles; needed for --camouflages.
-        frames: annotated images for the baseline, [NAME=]FOLDER[/PATTERN][:LABELS]@GSD and
-            #CLASS,... where it has classes of its own, such as 'kit/MOS*@0.116#car'; rendered
-            datasets and tiled folders, too. Arguments of one NAME are one set of several places.
-        frame_classes: class names that count as vehicles in the other frames; all else is
-            ignored, not counted as mistakes.
-        seed: of the bootstrap.
+        out: score folder to write, such as my_run/scores/mine.
+        original: dataset without camouflage, whose scenes are rendered again.
+        camouflages: camouflage folders, named as in the tables.
+        backgrounds: background set folder of the scenes; needed for `--camouflages`.
+        fleet: fleet folder of the scenes' vehicles; needed for `--camouflages`.
+        frames: annotated images for the baseline, [NAME=]FOLDER[/PATTERN][:LABELS]@GSD[#CLASS,...],
+            such as 'kit/MOS*@0.116#car'. The classes are those of vehicles (car and minibus by
+            default). Arguments of one NAME are one set of several places.
+        frame_classes: vehicle classes of frames that name none. Other objects are ignored.
+        seed: seed of the bootstrap.
         device: auto, cpu or cuda.
     """
 
@@ -51,8 +52,8 @@ class Score(Rendering):
     backgrounds: Path | None = None
     fleet: Path | None = None
     frames: tuple[str, ...] = ()
-    frame_classes: tuple[str, ...] = ("car", "minibus")
-    seed: Seed = 0
+    frame_classes: Suppress[tuple[str, ...]] = ("car", "minibus")
+    seed: Suppress[Seed] = 0
     device: str = "auto"
 
     def run(self) -> None:

@@ -17,7 +17,7 @@ from skyproof.ranges import Seed
 class Train:
     """Trains a detector on a dataset folder and freezes its threshold.
 
-    A training that was stopped goes on where it was.
+    A stopped training resumes with the same command.
 
     Attributes:
         detector: retinanet, faster_rcnn, yolov5 or yolov5_anchors.
@@ -25,9 +25,8 @@ class Train:
         validation: dataset folder that chooses the best weights and the threshold.
         out: detector folder to write.
         size: slim (for a CPU) or full (for a GPU).
-        settings: what is to differ from the usual settings of this detector and size, such as
-            `--settings.steps 300`.
-        seed: decides weights, order and augmentation.
+        settings: differences from the usual settings of this detector and size.
+        seed: seed of weights, order and augmentation.
         device: auto, cpu or cuda.
     """
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tyro.conf import Positional
+from tyro.conf import Positional, Suppress
 
 from skyproof.camouflage.fleets import FleetCounts, draw_fleets
 from skyproof.console import progress_bar, say
@@ -32,34 +32,31 @@ _COLUMNS = {
 
 @dataclass(frozen=True)
 class Vehicles:
-    """Draws four fleets, one per split; or makes one fleet of real meshes and of other fleets.
+    """Draws four fleets, one per split, or makes one fleet of meshes and of other fleets.
 
-    Meshes are wrapped onto the shared template with their colours and part labels. wrap.json says
+    Meshes are wrapped onto the shared template with their colours and part labels. wrap.json tells
     how well each fits, and turntable.png shows them.
 
     Attributes:
-        sources: mesh files (OBJ, GLB) to wrap, and fleet folders to mix in; without any,
-            fleets are drawn.
-        out: folder to write: one fleet, or the four fleets train, validation, attack and test.
-        counts: how many vehicles are drawn per split (train, validation, attack, test), where no
-            sources are given.
-        seed: seed of the vehicles drawn.
-        paints: which shares of the fleets train and validation are painted otherwise than real
-            vehicles are; attack and test wear catalogue paints.
-        shapes: share of the fleets train and validation whose surface is pushed out at random, as
-            the random shape R-S-O does.
-        wrapping: how meshes are read and named.
-        first_number: number of the first vehicle that is drawn, so that fleets can be mixed.
+        sources: mesh files (OBJ, GLB) to wrap and fleet folders to mix; fleets are drawn without
+            any.
+        out: folder to write: one fleet, or the fleets train, validation, attack and test.
+        counts: number of drawn vehicles per split (train, validation, attack, test).
+        seed: seed of drawn vehicles.
+        paints: paints of the fleets train and validation; attack and test have catalogue paints.
+        shapes: share of the fleets train and validation with a random shape (R-S-O).
+        wrapping: how meshes are read.
+        first_number: number of the first drawn vehicle, so that fleets can be mixed.
     """
 
     out: Path
     sources: Positional[tuple[Path, ...]] = ()
     counts: FleetCounts = (128, 32, 32, 32)
     seed: Seed = 0
-    paints: PaintVariety = field(default_factory=PaintVariety)
-    shapes: Fraction = 0.25
+    paints: Suppress[PaintVariety] = field(default_factory=PaintVariety)
+    shapes: Suppress[Fraction] = 0.25
     wrapping: WrapSettings = field(default_factory=WrapSettings)
-    first_number: WholeNumber = 0
+    first_number: Suppress[WholeNumber] = 0
 
     def run(self) -> None:
         """Writes all of them, or nothing."""
@@ -79,8 +76,8 @@ class Vehicles:
         if not any(self.paints.shares.values()):
             say(
                 "  note: train and validation wear catalogue paints alone, so a detector trained "
-                "on them may take colour for evidence; give shares above 0 with --paints, and "
-                "see skyproof precheck."
+                "on them may take colour for evidence; see skyproof "
+                "precheck."
             )
 
     def _combine(self) -> None:
@@ -128,8 +125,8 @@ class Vehicles:
             if report["iou_above"] < self.wrapping.minimum_iou:
                 raise ConfigurationError(
                     f"{vehicle_id} ({report['mesh']}) keeps its outline from above only to IoU "
-                    f"{report['iou_above']:.3f}, asked is {self.wrapping.minimum_iou}; check "
-                    "--wrapping.up and --wrapping.forward, or lower --wrapping.minimum-iou."
+                    f"{report['iou_above']:.3f}, the least is {self.wrapping.minimum_iou}; check "
+                    "--wrapping.up and --wrapping.forward."
                 )
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from msgspec import Meta
+from tyro.conf import Suppress
 
 from skyproof.cycles.settings import CyclesSettings
 
@@ -17,14 +18,13 @@ class Rendering:
 
     Attributes:
         renderer: torch (the differentiable renderer) or cycles (Blender's path tracer).
-        blender: Blender 4.5 executable, or Python with bpy 4.5, for cycles. The default is the one
-            of `make blender`, then `blender` on the PATH.
-        workers: number of Blender processes of one thread each, for cycles. The default is one per
-            CPU core.
+        blender: Blender 4.5, or a Python with bpy 4.5 (default: of `make blender`, then of the
+            PATH).
+        workers: number of Blender processes of one thread each; None is one per CPU core.
         cycles: quality settings of cycles.
     """
 
     renderer: Literal["torch", "cycles"] = "torch"
     blender: Path | None = None
-    workers: Annotated[int, Meta(ge=1, le=1000)] | None = None
-    cycles: CyclesSettings = field(default_factory=CyclesSettings)
+    workers: Suppress[Annotated[int, Meta(ge=1, le=1000)] | None] = None
+    cycles: Suppress[CyclesSettings] = field(default_factory=CyclesSettings)

@@ -43,7 +43,7 @@ class Workers:
 
     def __init__(self, blender: Blender, count: int, results: Path | None = None) -> None:
         if count < 1:
-            raise ConfigurationError(f"--workers expects at least 1 process, got {count}.")
+            raise ConfigurationError(f"count expects at least 1 process, got {count}.")
         self.blender, self.count = blender, count
         self._scratch = Path(tempfile.mkdtemp(prefix="skyproof-cycles-"))
         self.results = self._scratch / "results" if results is None else Path(results)
@@ -127,8 +127,7 @@ class Workers:
                 why = str(unfit)
         raise RunFolderError(
             f"Blender failed {_TRIES} times at {job.name} ({why}); if memory or disk is short make "
-            "room or give fewer "
-            "--workers, then run the same command again (finished pictures are kept)."
+            "room, then run the same command again (finished pictures are kept)."
         )
 
 

@@ -82,7 +82,7 @@ def import_detector(
     folder = Path(folder)
     refuse_existing(folder)
     name = folder.resolve().name if name is None else name
-    require_detector_name(name, "give --name")
+    require_detector_name(name, "choose another name, or folder")
     check_validation(validation)
     gsd_m = validation.gsd_m if checkpoint.gsd_m is None else checkpoint.gsd_m
     check_value("--gsd", gsd_m, GroundResolution)

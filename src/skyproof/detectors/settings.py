@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict, get_args, get_type_hints
 
 from msgspec import Meta
+from tyro.conf import Suppress
 
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import Count, Fraction, check_ranges
@@ -48,15 +49,15 @@ class TrainingSettings:
     """
 
     steps: Count = 1000
-    batch_size: Annotated[int, Meta(ge=1, le=4096)] = 16
-    learning_rate: Annotated[float, Meta(gt=0, le=10)] = 2e-3
-    weight_decay: Annotated[float, Meta(ge=0, le=10)] = 0.02
-    warm_up: Fraction = 0.1
-    largest_gradient_norm: Annotated[float, Meta(gt=0, le=1e6)] = 10.0
-    average_decay: Annotated[float, Meta(ge=0, lt=1)] = 0.99
-    jitter: Annotated[float, Meta(ge=0, le=10)] = 1.0
-    validate_every: Count = 250
-    checkpoint_every: Count = 100
+    batch_size: Suppress[Annotated[int, Meta(ge=1, le=4096)]] = 16
+    learning_rate: Suppress[Annotated[float, Meta(gt=0, le=10)]] = 2e-3
+    weight_decay: Suppress[Annotated[float, Meta(ge=0, le=10)]] = 0.02
+    warm_up: Suppress[Fraction] = 0.1
+    largest_gradient_norm: Suppress[Annotated[float, Meta(gt=0, le=1e6)]] = 10.0
+    average_decay: Suppress[Annotated[float, Meta(ge=0, lt=1)]] = 0.99
+    jitter: Suppress[Annotated[float, Meta(ge=0, le=10)]] = 1.0
+    validate_every: Suppress[Count] = 250
+    checkpoint_every: Suppress[Count] = 100
 
     def __post_init__(self) -> None:
         check_ranges(self)

@@ -157,7 +157,7 @@ def _take_steps(
         if not torch.isfinite(loss.detach() + norm):
             raise NotFiniteError(
                 f"The training loss is {loss.item():g} and its gradient {float(norm):g} at step "
-                f"{step}; train again in another folder, with a lower --settings.learning-rate "
+                f"{step}; train again in another folder, with a lower learning rate "
                 f"than {settings.learning_rate:g}."
             )
         optimiser.step()

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
+from tyro.conf import Suppress
 
 from skyproof.camouflage.fleets import FleetCounts, draw_fleets
 from skyproof.console import progress_bar, say
@@ -19,26 +20,25 @@ from skyproof.vehicles.settings import CATALOGUE_PAINTS, PaintVariety
 
 @dataclass(frozen=True, kw_only=True)
 class LearnVehicles:
-    """Learns vehicles from photographs, so that fleets can be drawn that look like those there.
+    """Learns a generator of vehicles from photographs, and draws fleets from it.
 
-    Every vehicle whose place `skyproof clear` kept is fitted through the renderer: body, heading,
-    paint and texture, in the photograph's own light. A run that was stopped goes on where it was.
-    Fleets of a finished generator are drawn with --fleets; the photographs may then be left out.
+    Every vehicle whose place `skyproof clear` recorded is fitted through the renderer: body,
+    heading, paint and texture. A stopped run resumes with the same command. A finished generator
+    draws fleets without the photographs.
 
     Attributes:
-        imagery: tiled folder with the vehicles, as `skyproof ground` writes it from labelled
-            imagery, and the same without them, as `skyproof clear` writes it; such a pair for
+        imagery: tiled folder of labelled imagery, and the same cleared of vehicles; such a pair for
             every camera or day.
         out: folder of the generator, with sheets of all fits and of samples.
-        settings: how they are fitted, and by which method one learns from them.
-        fleets: folder to write: the four fleets train, validation, attack and test.
-        counts: how many vehicles are drawn per split (train, validation, attack, test).
-        fleet_seed: seed of the vehicles drawn.
-        patterned: share of the fleets train and validation over which random patterns are laid.
-        shapes: share of the fleets train and validation whose surface is pushed out at random.
-        first_number: number of the first vehicle that is drawn; drawn and wrapped vehicles have
-            lower ones, so that fleets can be mixed.
-        device: auto, cpu or cuda; where the network of "gan" is trained. All else works on the CPU.
+        settings: method of the generator.
+        fleets: folder to write: the fleets train, validation, attack and test.
+        counts: number of vehicles per split (train, validation, attack, test).
+        fleet_seed: seed of the fleets.
+        patterned: share of the fleets train and validation with random patterns.
+        shapes: share of the fleets train and validation with a random shape (R-S-O).
+        first_number: number of the first vehicle; drawn and wrapped vehicles have lower ones, so
+            that fleets can be mixed.
+        device: auto, cpu or cuda; trains the network of gan.
     """
 
     imagery: Annotated[
@@ -49,11 +49,11 @@ class LearnVehicles:
     out: Path
     settings: LearnSettings = field(default_factory=LearnSettings)
     fleets: Path | None = None
-    counts: FleetCounts = (128, 32, 32, 32)
-    fleet_seed: Seed = 0
-    patterned: Fraction = PaintVariety().patterned
-    shapes: Fraction = 0.25
-    first_number: WholeNumber = 5000
+    counts: Suppress[FleetCounts] = (128, 32, 32, 32)
+    fleet_seed: Suppress[Seed] = 0
+    patterned: Suppress[Fraction] = PaintVariety().patterned
+    shapes: Suppress[Fraction] = 0.25
+    first_number: Suppress[WholeNumber] = 5000
     device: str = "auto"
 
     def run(self) -> None:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 from msgspec import Meta
+from tyro.conf import Suppress
 
 from skyproof.ranges import Seed, check_ranges
 
@@ -24,10 +25,10 @@ class FitSettings:
     """How photographed vehicles are fitted.
 
     Attributes:
-        bodies: drawn bodies of each type that a fit may begin with.
-        candidates: of these, the ones nearest in size that are tried, each in both directions.
-        choose_steps: steps by which each candidate is moved and coloured before the best is chosen.
-        steps: steps by which the chosen one is fitted further, its texture with it.
+        bodies: number of drawn bodies of each type from which a fit may start.
+        candidates: number of bodies nearest in size that are tried, each in both directions.
+        choose_steps: steps of each candidate before the best is chosen.
+        steps: further steps of the chosen candidate, with its texture.
     """
 
     bodies: _Count = 12
@@ -44,9 +45,9 @@ class AdversarialSettings:
     """How the network of the method gan is trained.
 
     Attributes:
-        steps: of both networks.
-        batch_size: maps in one step.
-        learning_rate: of the generator; the discriminator's is four times as high.
+        steps: number of optimiser steps of both networks.
+        batch_size: maps per step.
+        learning_rate: learning rate of the generator; the discriminator's is four times as high.
         preview_every: steps between pictures of samples.
     """
 
@@ -64,13 +65,13 @@ class LearnSettings:
     """How a generator is learnt.
 
     Attributes:
-        method: layered (between fitted vehicles) or gan (a network, as the paper has one).
-        seed: decides the bodies to begin with, and the network's weights and draws.
+        method: layered (between fitted vehicles) or gan (a network, as in the paper).
+        seed: seed of the bodies, and of the network's weights and draws.
         fit: how vehicles are fitted.
-        gan: how the network is trained, where it is.
+        gan: how the network of gan is trained.
     """
 
     method: Method = "layered"
-    seed: Seed = 0
-    fit: FitSettings = field(default_factory=FitSettings)
-    gan: AdversarialSettings = field(default_factory=AdversarialSettings)
+    seed: Suppress[Seed] = 0
+    fit: Suppress[FitSettings] = field(default_factory=FitSettings)
+    gan: Suppress[AdversarialSettings] = field(default_factory=AdversarialSettings)

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Annotated
 
 from msgspec import Meta
+from tyro.conf import Suppress
 
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import Fraction, GroundResolution, check_ranges
@@ -26,28 +27,28 @@ _Score = Annotated[float, Meta(gt=0, le=1)]
 
 @dataclass(frozen=True)
 class TilingSettings:
-    """How ground is cut into tiles.
+    """The size of the tiles, and their splits.
 
     Attributes:
         gsd_m: metres per pixel of the tiles.
         size_px: side of the tiles in pixels.
         minimum_px: side to which tiles may shrink until there is one for each split; imagery that
-            still yields fewer is refused. Where it is not given, tiles do not shrink, and a split
-            may stay empty.
-        block_m: width in metres of the blocks of tiles that go to one split; about 400 where it is
-            not given, less for little imagery.
-        like: a tiled folder; the same ground is cut into the same tiles and splits from these
-            sources, in its resolution and sizes.
-        shares: of the tiles that go to train, validation, attack and test; a split whose share is
-            0 gets none.
+            still yields fewer is refused. With None tiles do not shrink, and a split may stay
+            empty.
+        block_m: width in metres of the blocks of tiles that go to one split; None is about 400, and
+            less for little imagery.
+        like: tiled folder whose tiles and splits are used again for other images of the same
+            ground.
+        shares: shares of the tiles that go to train, validation, attack and test; a split with a
+            share of 0 gets none.
     """
 
     gsd_m: GroundResolution = 0.125
     size_px: _TileSide = 384
-    minimum_px: _TileSide | None = None
-    block_m: Annotated[float, Meta(ge=0.1, le=1e6)] | None = None
+    minimum_px: Suppress[_TileSide | None] = None
+    block_m: Suppress[Annotated[float, Meta(ge=0.1, le=1e6)] | None] = None
     like: Path | None = None
-    shares: tuple[Fraction, Fraction, Fraction, Fraction] = (0.5, 0.15, 0.15, 0.2)
+    shares: Suppress[tuple[Fraction, Fraction, Fraction, Fraction]] = (0.5, 0.15, 0.15, 0.2)
 
     def __post_init__(self) -> None:
         check_ranges(self)
@@ -66,18 +67,16 @@ class TilingSettings:
 
 @dataclass(frozen=True)
 class SourceSettings:
-    """What the user says about images that do not say it themselves.
+    """Facts that images do not state themselves.
 
     Attributes:
         gsd_m: metres per pixel of images without georeference.
-        crs: reference system, such as EPSG:2193, of images that have a world file but name no
-            system.
-        licence: licence of images that state none (TIFFTAG_COPYRIGHT).
-        taken: when the images were taken, with its time zone, such as 2024-06-20T13:00:00+02:00:
-            vehicles then stand in the sun of that moment. Images of several flights are cut one
-            by one.
-        cover: a mask, or a folder with a mask for each image, of its name and size: white where
-            tree crowns, roofs or bridges hide the ground, so that they hide vehicles there, too.
+        crs: reference system of images with a world file alone, such as EPSG:2193.
+        licence: licence of images that state none.
+        taken: time of the flight with its zone, such as 2024-06-20T13:00:00+02:00. Vehicles are lit
+            by the sun of that time.
+        cover: mask of each image, white at crowns, roofs and bridges, which then hide vehicles; or
+            a folder of such masks.
     """
 
     gsd_m: GroundResolution | None = None
@@ -108,22 +107,22 @@ class SourceSettings:
 
 @dataclass(frozen=True)
 class LabelSettings:
-    """Where labels of vehicles come from, and what in them counts as a vehicle.
+    """The labels of vehicles, and their vehicle classes.
 
     Attributes:
-        path: COCO, YOLO text, DOTA text, GeoJSON, GeoPackage or Shapefile labels of vehicles.
-        classes: class names that count as vehicles; all other objects become regions where nothing
-            is scored. They may be left out where the labels know one class.
-        border_px: width of a band along the border of each source, in its pixels, where nothing is
-            scored: vehicles that the border cuts are often unlabelled.
-        point_box_m: side of the box that stands for a point label; 4 m is a car's upright box at a
-            random heading.
+        path: labels as COCO, YOLO text, DOTA text, GeoJSON, GeoPackage or Shapefile.
+        classes: vehicle classes, if the labels have several classes. Other objects become ignore
+            regions.
+        border_px: width in pixels of an ignored band along the border of each source, because
+            vehicles that the border cuts are often unlabelled.
+        point_box_m: side of the box of a point label; 4 m is a car's upright box at a random
+            heading.
     """
 
     path: Path | None = None
     classes: tuple[str, ...] = ()
-    border_px: Annotated[float, Meta(ge=0, le=100_000)] = 0.0
-    point_box_m: Annotated[float, Meta(ge=0.01, le=100)] = 4.0
+    border_px: Suppress[Annotated[float, Meta(ge=0, le=100_000)]] = 0.0
+    point_box_m: Suppress[Annotated[float, Meta(ge=0.01, le=100)]] = 4.0
 
     def __post_init__(self) -> None:
         check_ranges(self)
@@ -134,13 +133,13 @@ class ClearSettings:
     """How vehicles are removed.
 
     Attributes:
-        finding_score: every detection with at least this score is removed; where not given, the
-            detector's frozen threshold. A lower one leaves fewer vehicles, and removes ground.
-        margin_m: width in metres by which vehicles' boxes are grown on all sides; doubled where the
-            shadow is unknown.
-        largest_masked_share: largest share of a tile that may be removed; a tile with more to
-            remove is left out.
-        rounds: how often a tile is repaired in which the check still finds something.
+        finding_score: lowest score of detections that are removed; None is the detector's frozen
+            threshold. A lower score leaves fewer vehicles and removes more ground.
+        margin_m: width in metres by which vehicles' boxes grow on all sides; doubled if the shadow
+            is unknown.
+        largest_masked_share: largest share of a tile that may be removed; a tile with more is left
+            out.
+        rounds: number of repairs of a tile in which the detector still finds a vehicle.
     """
 
     finding_score: _Score | None = None

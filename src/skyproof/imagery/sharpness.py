@@ -74,7 +74,7 @@ def measure_sensor(images: Iterable[UInt8[Tensor, "3 H W"]]) -> Sensor:
     if len(blurs) < LEAST_EDGES:
         raise ImageryError(
             f"Measuring the blur of imagery expects at least {LEAST_EDGES} clear edges but found "
-            f"{len(blurs)}; give its blur yourself with --blur-sigma-px."
+            f"{len(blurs)}; give sharper or larger images."
         )
     return Sensor(
         blur_sigma_px=round(float(np.quantile(blurs, SHARPEST_SHARE)), 2),

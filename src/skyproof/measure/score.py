@@ -118,8 +118,7 @@ def _refuse_other_drawing(unchanged: Dataset, scenes: Sequence[Scene], stage: St
     if unchanged.rendering != renderer.record(scenes):
         raise ConfigurationError(
             f"{unchanged.folder} was rendered with other settings than are asked for here, or by "
-            "another version of skyproof or Blender; give the same --cycles.samples and "
-            "--cycles.finish, or render it anew."
+            "another version of skyproof or Blender; render it anew."
         )
 
 

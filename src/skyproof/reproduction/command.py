@@ -24,36 +24,29 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Reproduce:
-    """Runs every attack of the paper with random controls, and compares the numbers.
+    """Runs every attack of the paper with its controls, and writes the paper's tables and figure.
 
-    It ends in report.html and in tables/README.md: both tables and the figure of EASR against
-    practicality. Stop it whenever you like and give the same command again: finished steps are
-    kept, training and attacks go on from their last checkpoint.
-
-    On a cluster with Slurm: give --slurm-jobs. For another one give --dry-run, which prints the
-    plain snakemake command, and add the options of your executor. Every step that computes much
-    says what memory, time and GPU it asks for (docs/cluster.md).
+    The results are report.html and tables/README.md. A stopped run resumes with the same command.
+    `--slurm-jobs` uses a cluster with Slurm, and `--dry-run` prints the snakemake command for
+    another one (docs/cluster.md).
 
     Attributes:
-        preset: quick (slim detectors, for 2 CPU cores), paper (full size, for one GPU), reference
-            (training and check of the detectors that skyproof brings along), trainings (the
-            headline attacks on three short trainings of each detector), or a JSON file like theirs.
-        out: run folder.
-        cores: CPU cores to use; all where not given. With 1, the steps are done one after the other
-            in this process, without Snakemake.
-        slurm_jobs: do the steps as jobs of Slurm instead, so many at once. Account and partition
-            stand in the Snakemake profile that SNAKEMAKE_PROFILE names.
+        preset: quick (slim detectors, two CPU cores), paper (full size, one GPU), reference (the
+            shipped detectors), trainings (three trainings of each detector), or a JSON file like
+            theirs.
+        out: run folder to write.
+        cores: number of CPU cores; all by default. With 1, the steps run in this process, without
+            Snakemake.
+        slurm_jobs: number of simultaneous Slurm jobs that run the steps instead. SNAKEMAKE_PROFILE
+            names a profile with account and partition.
         device: auto, cpu or cuda.
-        cycles: also score finished attacks and random controls as Blender's path tracer Cycles
-            draws them, the paper's "Blender" column. A finished run may be given again with it:
-            only that column is added then.
-        judges: further detectors that only judge, [TABLE=]FOLDER, such as some that learnt from
-            photographs: no attack learns on them. Detectors of one TABLE have learnt from the same
-            images, and have a mean. They are copied into the run folder and stay in its report; a
-            finished run may be given again with more of them: only their part is added then.
-        blender: for --cycles: a Blender 4.5 executable, or a Python that has bpy 4.5; where not
-            given, what `make blender` made, then `blender` on the PATH.
-        dry_run: only check, and say what would be done and how.
+        cycles: render the test scenes with Blender Cycles, too (the paper's "Blender" column), also
+            after a finished run.
+        held_out: further held-out detectors, [TABLE=]FOLDER, also after a finished run. Detectors
+            of one TABLE have the same training images, and a mean.
+        blender: Blender 4.5, or a Python with bpy 4.5 (default: of `make blender`, then of the
+            PATH).
+        dry_run: only check the request and list its steps.
     """
 
     preset: str = "quick"
@@ -62,7 +55,7 @@ class Reproduce:
     slurm_jobs: Annotated[int, Meta(ge=1, le=10_000)] | None = None
     device: str = "auto"
     cycles: bool = False
-    judges: tuple[str, ...] = ()
+    held_out: tuple[str, ...] = ()
     blender: Path | None = None
     dry_run: bool = False
 
@@ -90,7 +83,7 @@ class Reproduce:
         blender = self._cycles()
         config = {"blender": str(blender)} if blender else {}
         layout = Layout(self.out)
-        judges = read_judges(self.judges)
+        judges = read_judges(self.held_out)
         added = new_judges(layout, preset, judges)
         names = {table: sorted(judge.name for judge in its) for table, its in added.items()}
         tables = dict(sorted({**stored_judges(layout), **names}.items()))

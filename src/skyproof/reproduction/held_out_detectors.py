@@ -85,8 +85,8 @@ def read_judges(texts: Sequence[str]) -> dict[str, list[Judge]]:
             table, place = _TABLE, text
         if not _NAME.fullmatch(table) or not place:
             raise ConfigurationError(
-                "--judges expects [TABLE=]FOLDER, the table's name of at most 40 letters, digits, "
-                f"- and _, got {text[:200]!r}."
+                "--held-out expects [TABLE=]FOLDER, the table's name of at most 40 letters, digits "
+                f"or - and _, got {text[:200]!r}."
             )
         judge = Judge.open(Path(place))
         if not math.isclose(judge.card.gsd_m, GSD_M):
@@ -144,7 +144,7 @@ def new_judges(
             if same is not None:
                 raise ConfigurationError(
                     f"{judge.folder} is the {detector_name(same.name)} that this run attacks, and "
-                    "is judged as such; give detectors to --judges that no attack learns on."
+                    "is judged as such; give detectors to --held-out that no attack learns on."
                 )
         own = layout.judged(table)
         stored = [Judge.open(own.detector(name)) for name in known.get(table, ())]

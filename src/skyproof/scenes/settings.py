@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from msgspec import Meta
+from tyro.conf import Suppress
 
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import Fraction, ImageSide, check_ranges
@@ -35,17 +36,16 @@ class SceneSettings:
         tilt_maximum_rad: largest tilt; the camera is a uniform point on a disc of radius
             sin(tilt_maximum_rad).
         sun: photograph or uniform. "photograph" takes the sun and the shadows of the ground if they
-            are known: a vehicle in a shadow is dark; a sun that is not known is drawn as the next
-            two options say. "uniform" draws azimuth and elevation uniformly and lights vehicles
+            are known, and a vehicle in a shadow is dark; an unknown sun is drawn by the next two
+            settings. "uniform" draws azimuth and elevation uniformly and lights vehicles
             everywhere, as in the paper.
         sun_elevation_minimum_rad: elevation of the lowest sun; the azimuth is uniform.
         sun_elevation_maximum_rad: elevation of the highest sun, every elevation between equally
             likely.
         gap_m: least distance between two vehicles.
         margin_m: least distance of a vehicle's centre from the image's edge.
-        places: places of vehicles: uniform (any place and heading, as in the paper), removed (the
-            places from which skyproof clear removed vehicles: similar in length, slightly off,
-            facing either way) or drivable (ground for vehicles, along its direction).
+        places: places of vehicles: uniform (any place), removed (the places of vehicles that
+            `skyproof clear` removed) or drivable (ground for vehicles, along its direction).
         parked_share: share of scenes with uniform places whose vehicles stand in a row, bumper to
             bumper or side by side, like parked ones; 0 in the paper.
         conditions: weather and light, each equally likely in every scene: clear, haze, rain,
@@ -54,16 +54,16 @@ class SceneSettings:
     """
 
     size_px: ImageSide = 384
-    vehicles_minimum: _Vehicles = 1
-    vehicles_maximum: _Vehicles = 5
-    tilt_maximum_rad: Tilt = _TILT_RAD
-    sun: Literal["photograph", "uniform"] = "photograph"
-    sun_elevation_minimum_rad: SunElevation = _LOWEST_SUN_RAD
-    sun_elevation_maximum_rad: SunElevation = _HIGHEST_SUN_RAD
-    gap_m: _Clearance = 0.4
-    margin_m: _Clearance = 2.0
+    vehicles_minimum: Suppress[_Vehicles] = 1
+    vehicles_maximum: Suppress[_Vehicles] = 5
+    tilt_maximum_rad: Suppress[Tilt] = _TILT_RAD
+    sun: Suppress[Literal["photograph", "uniform"]] = "photograph"
+    sun_elevation_minimum_rad: Suppress[SunElevation] = _LOWEST_SUN_RAD
+    sun_elevation_maximum_rad: Suppress[SunElevation] = _HIGHEST_SUN_RAD
+    gap_m: Suppress[_Clearance] = 0.4
+    margin_m: Suppress[_Clearance] = 2.0
     places: Places = "uniform"
-    parked_share: Fraction = 0.0
+    parked_share: Suppress[Fraction] = 0.0
     conditions: tuple[str, ...] = ("clear",)
 
     def __post_init__(self) -> None:

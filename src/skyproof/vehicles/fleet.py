@@ -314,8 +314,8 @@ def mix_fleets(fleets: Sequence[Fleet]) -> Fleet:
     twice = [name for name, count in Counter(ids).items() if count > 1]
     if twice:
         raise ConfigurationError(
-            f"{len(twice)} vehicle ids occur more than once, the first is {twice[0]}; make one of "
-            "the fleets with another --first-number (of wrapped meshes --wrapping.first-number)."
+            f"{len(twice)} vehicle ids occur more than once, the first is {twice[0]}; give fleets "
+            "whose numbers differ (first_number of FleetSettings and WrapSettings)."
         )
     return Fleet(
         None,

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from msgspec import Meta
+from tyro.conf import Suppress
 
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import Fraction, Name, WholeNumber, check_ranges
@@ -25,7 +26,7 @@ Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 class PaintVariety:
     """Which shares of a fleet are painted otherwise than real vehicles are.
 
-    The rest wears catalogue paints, of which four in five are white, black, grey or silver. The
+    The rest has catalogue paints, of which four in five are white, black, grey or silver. The
     defaults are meant for training: detectors that learnt them do not take colour for evidence.
 
     Attributes:
@@ -65,27 +66,25 @@ class WrapSettings:
     """How meshes are read and named.
 
     Attributes:
-        scale: metres per unit of the mesh, one value for all meshes or one for each; without any,
-            what the file says is taken, else 1.
-        up: which axis points up; without one, the format's is taken, or guessed.
-        forward: where the nose points; without one, it is guessed, and how is said.
-        names: body type of each mesh; without any, the names of the files. Ids are <body
-            type>-<number>.
+        scale: metres per unit, one value for all meshes or one per mesh (default: that of the
+            file).
+        up: axis that points up (default: that of the format, or guessed).
+        forward: axis of the nose (default: guessed, and reported).
+        names: body type of each mesh; the file names if empty. Ids are <body type>-<number>.
         first_number: number of the first vehicle.
-        paintable: picture on the mesh's own UVs, bright where there is paint; without one, the
-            textures' alpha is taken, if there is any.
-        licence: whose the meshes are and under which terms; it is stored with every vehicle.
-        minimum_iou: a vehicle whose outline from above fits worse is refused.
+        paintable: picture on the mesh's own UVs, bright on paint (default: the textures' alpha).
+        licence: owner and terms of the meshes; stored with every vehicle.
+        minimum_iou: lowest IoU of the outline from above; other vehicles are refused.
     """
 
     scale: tuple[Annotated[float, Meta(gt=0, le=1e6)], ...] = ()
     up: Axis | None = None
     forward: Axis | None = None
-    names: tuple[Name, ...] = ()
-    first_number: WholeNumber = 1000
+    names: Suppress[tuple[Name, ...]] = ()
+    first_number: Suppress[WholeNumber] = 1000
     paintable: Path | None = None
     licence: Annotated[str, Meta(max_length=1000)] = "not stated"
-    minimum_iou: Fraction = 0.97
+    minimum_iou: Suppress[Fraction] = 0.97
 
     def __post_init__(self) -> None:
         check_ranges(self)

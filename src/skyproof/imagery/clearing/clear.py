@@ -174,7 +174,7 @@ def clear_backgrounds(
         reasons = ", ".join(f"{count} {why}" for why, count in record["totals"]["left_out"].items())
         raise ImageryError(
             f"No tile of {folder} could be cleared ({reasons}); give a better detector, or allow a "
-            "larger --settings.largest-masked-share of skyproof clear."
+            "larger ClearSettings.largest_masked_share."
         )
     kept = shaded_tiles(
         BackgroundSet(out, backgrounds.gsd_m, kept, backgrounds.sensor, backgrounds.light)

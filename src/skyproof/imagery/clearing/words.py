@@ -91,13 +91,13 @@ def warnings(totals: dict[str, Any], vehicles_from: list[str]) -> list[str]:
         sentences.append(
             f"{detected} removed vehicles were only found by the detector, and {labelled} are "
             "labelled: most of what it finds here may be no vehicle; look at the sheet, and take "
-            "another detector or a higher --settings.finding-score of skyproof clear."
+            "another detector or a higher threshold (skyproof precheck --freeze)."
         )
     if totals["masked_share"] > _LARGE_SHARE:
         sentences.append(
             f"{totals['masked_share']:.0%} of the ground was filled, more than the "
             f"{_LARGE_SHARE:.0%} of a place with many vehicles: detectors will be tested on "
             "painted-over ground; look at the sheet, and take another detector or a higher "
-            "--settings.finding-score of skyproof clear."
+            "threshold (skyproof precheck --freeze)."
         )
     return sentences

@@ -204,7 +204,7 @@ def _refuse_too_few(count: int, settings: TilingSettings) -> None:
         raise ImageryError(
             f"The imagery yields {count} tiles of at least {settings.minimum_px} px at "
             f"{settings.gsd_m} m per pixel but the {splits} splits need {splits}; give more or "
-            "larger images, or smaller tiles (--tiling.minimum-px; --sizes.image-px of `demo`)."
+            "larger images."
         )
 
 
