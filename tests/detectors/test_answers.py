@@ -103,7 +103,7 @@ def test_nothing_found_is_an_answer(empty):
         ([answer([BOX], [0.5, 0.6])], "boxes are [K, 4] and scores [K], got [1, 4] and [2]"),
         ([answer([], [0.5])], "1 scores without boxes"),
         ([answer([BOX[:3]], [0.5])], "boxes are [K, 4]"),
-        ([answer("none", [0.5])], "each image expects boxes and scores, got ValueError"),
+        ([answer("none", [0.5])], "each image expects boxes and scores, got TypeError"),
         ([None], "each image expects boxes and scores, got AttributeError"),
         ([], "1 images expect as many answers, got 0"),
         ([answer([], []), answer([], [])], "as many answers, got 2"),
