@@ -31,11 +31,11 @@ from skyproof.maite import (
 )
 from skyproof.render.dataset import render_dataset
 from skyproof.render.settings import RenderSettings
-from skyproof.results.pairs.tiles import count_tiles
 from skyproof.results.statistics.rates import overall_attack_success_rate
 from skyproof.scenes.light import Light
 from skyproof.vehicles.fleet import Fleet
 from tests.maite.conftest import Folders
+from tests.results.counted import count_outcomes
 
 
 def test_spotcheck_finds_no_fault(folders: Folders, model: DetectorModel) -> None:
@@ -96,7 +96,7 @@ def test_the_metric_counts_as_our_tables_do(folders: Folders, model: DetectorMod
         fleet=sp.Fleet.load(folders.fleet),
         renderer=sp.TorchRenderer(sp.BackgroundSet.open(folders.ground)),
     )
-    series = count_tiles(outcomes).series
+    series = count_outcomes(outcomes).series
     (counts,) = (value.sum(0) for key, value in series.items() if key.match == "centre_1m")
     dataset, rendered = VehicleDataset(folders.original), VehicleDataset(folders.camouflaged)
     metric = HiddenVehicles(model, dataset)

@@ -22,10 +22,11 @@ from skyproof.measure.score import score
 from skyproof.measure.views import Change, Stage
 from skyproof.render.frames import Frames
 from skyproof.results.merge import merge_counts
+from skyproof.results.pairs.counts import Series
 from skyproof.results.pairs.outcomes import MATCHES, read_outcomes
-from skyproof.results.pairs.tiles import Series, count_tiles
 from skyproof.results.results import Results
 from skyproof.scenes.scene import Placement
+from tests.results.counted import count_outcomes
 
 BOX = torch.tensor([22.0, 22.0, 42.0, 42.0])
 
@@ -124,7 +125,7 @@ def test_all_that_was_found_is_written(scored, tmp_path):
         pytest.approx(1 / 3),
     )
     tiles, sets = merge_counts([tmp_path / "scores"])
-    counted = count_tiles(read_outcomes(tmp_path / "scores" / "outcomes.parquet"))
+    counted = count_outcomes(read_outcomes(tmp_path / "scores" / "outcomes.parquet"))
     key = Series("T-U-0", "torch", "brightest", "centre_1m")
     expected = [[1, 0, 1, 0], [1, 0, 1, 0], [1, 1, 0, 0], [1, 0, 0, 1]]
     assert tiles.series[key].tolist() == counted.series[key].tolist() == expected

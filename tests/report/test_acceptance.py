@@ -13,7 +13,7 @@ from skyproof.layout import Layout
 from skyproof.report.acceptance import Ruling, _attacks, _doubted
 from skyproof.report.queries import QueryPart
 from skyproof.report.report import write_report
-from skyproof.results.pairs.tiles import TileCounts, read_tiles
+from skyproof.results.pairs.counts import OutcomeCounts, read_counts
 from skyproof.results.results import Results
 from skyproof.results.statistics.acceptance import Requirement
 from skyproof.results.statistics.intervals import Interval
@@ -53,9 +53,9 @@ def asked(folder, requirement=None):
 def change_tiles(folder, change):
     """Puts other counts in the place of a run's: in sight, both, lost, gained."""
     place = folder / "scores" / "main" / "outcomes.parquet"
-    tiles = read_tiles(place)
+    tiles = read_counts(place)
     series = {key: change(key, counts.copy()) for key, counts in tiles.series.items()}
-    write_counts(place, TileCounts(tiles.cells, series))
+    write_counts(place, OutcomeCounts(tiles.cells, series))
 
 
 def test_a_detector_that_loses_most_is_rejected(run_folder):
@@ -111,7 +111,7 @@ def test_it_says_what_imagery_would_decide_or_that_none_would(run_folder):
 
     Layout(run_folder).scenes("test").parent.mkdir(exist_ok=True)
     more = int(re.search(r"on ([\d,]+) more tiles", said(60))[1].replace(",", ""))
-    tiles = len({tile for tile, _ in Results.open(run_folder).tiles.cells})
+    tiles = len({tile for tile, _ in Results.open(run_folder).counts.cells})
     assert f" {tiles + more} test scenes cannot show so many" in said(tiles + more)
     enough = tiles_to_show(tiles + more, tiles + more + 100)
     assert enough > tiles + more
@@ -135,7 +135,7 @@ def test_where_gradients_mislead_nothing_is_accepted(tmp_path):
     kept = {"T-U_step10-0": set(), "T-U_asked1500": set(), "T-U_relaxed": set()}
     hides = missed({**found, **kept, "T-U_asked": set(range(4)), "T-U_on_mine": {0}})
     results = scored(tmp_path, hides)
-    attacks = _attacks(results.tiles, results.detectors[0])
+    attacks = _attacks(results.counts, results.detectors[0])
     assert set(attacks) == {"T-U", "T-U_transfer", "T-U_asked", "T-U_on_mine"}
     requirement = Requirement(0.5, 0.9999)
     ruling = Ruling("mine", "accepted", ["mine is ACCEPTED: so.", "T-U hides 0 %."], 0, {})
@@ -186,9 +186,9 @@ def test_the_verdict_names_what_it_holds_for(run_folder):
 
 def test_without_an_attack_there_is_nothing_to_decide(run_folder):
     place = run_folder / "scores" / "main" / "outcomes.parquet"
-    tiles = read_tiles(place)
+    tiles = read_counts(place)
     controls = {key: counts for key, counts in tiles.series.items() if key.camouflage != "T-U"}
-    write_counts(place, TileCounts(tiles.cells, controls))
+    write_counts(place, OutcomeCounts(tiles.cells, controls))
     with pytest.raises(ConfigurationError, match="found none for retinanet; attack"):
         write_report(run_folder, STRICT)
     assert not (run_folder / "verdict.json").exists()

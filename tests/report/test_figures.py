@@ -2,13 +2,12 @@
 
 import pytest
 
-from skyproof.report.figures import many_figure
-from skyproof.results.result import Headline
+from skyproof.report.figures import forest_figure
 from skyproof.results.statistics.intervals import Interval
 from tests.results.rows import beside, made_row
 
 
-def headline(name, high=0.95):
+def drawn(name, high=0.95):
     net = Interval(0.9, 0.8, high)
     row = made_row(
         name,
@@ -17,14 +16,14 @@ def headline(name, high=0.95):
         random=beside("R-mine", 0.0, net),
         match="centre_1m",
     )
-    return Headline(row.camouflage, "torch", row, [row], {})
+    return forest_figure("salt", [name], [row], [None])
 
 
 def test_a_name_is_no_formula():
-    assert many_figure([headline("mine_$a$x^$b")]).startswith("<svg")
+    assert drawn("mine_$a$x^$b").startswith("<svg")
 
 
 @pytest.mark.parametrize("high", [0.99, 1.3])
 def test_limits_beyond_all_are_seen(high, monkeypatch):
     monkeypatch.setattr("skyproof.report.figures.as_svg", lambda figure: figure.axes[0].get_xlim())
-    assert many_figure([headline("mine", high)])[1] > 100 * max(high, 1)
+    assert drawn("mine", high)[1] > 100 * max(high, 1)

@@ -19,7 +19,6 @@ from skyproof.report.renderers import survival
 from skyproof.report.report import write_report
 from skyproof.reproduction.cycles import cycles_columns
 from skyproof.reproduction.reproduction import Reproduction
-from skyproof.results.result import Headline
 from skyproof.results.results import Change, Results
 from skyproof.results.statistics.intervals import Interval
 from skyproof.words import interval, percent, points
@@ -178,11 +177,6 @@ def test_the_page_and_the_tables_say_the_same_difference(both, page):
     assert cells["mean"][6] == f"{told} ({low} to {high})"
 
 
-def headline(renderer):
-    row = made_row("T-U", "retinanet")
-    return Headline(row.camouflage, renderer, row, [row], {})
-
-
 def change(first, second, half_width=0.07):
     difference = second - first
     return Change(
@@ -206,7 +200,7 @@ NAN = float("nan")
     ],
 )
 def test_survival_in_words(gross, net, said):
-    assert said in survival(headline("torch"), headline("cycles"), gross, net)
+    assert said in survival(made_row("T-U", "retinanet"), gross, net)
 
 
 def test_points():

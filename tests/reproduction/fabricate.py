@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from skyproof.files import write_json
-from skyproof.results.pairs.tiles import Series, TileCounts
+from skyproof.results.pairs.counts import OutcomeCounts, Series
 from skyproof.results.rows_file import write_rows
 from skyproof.results.score_folder import ScoreRecord, SetScore, write_record
 from tests.results.counted import write_counts
@@ -73,7 +73,7 @@ def write_scores(
                 series[Series(name, renderer, detector, match)] = counts
                 sets.append(SetScore(name, renderer, detector, match, 0.9 - 0.5 * rate, 2.0))
     folder.mkdir(parents=True)
-    write_counts(folder / "outcomes.parquet", TileCounts(CELLS, series))
+    write_counts(folder / "outcomes.parquet", OutcomeCounts(CELLS, series))
     write_rows(folder / "sets.json", sets)
     write_rows(folder / "baselines.json", checks)
     thresholds = dict.fromkeys(detectors, 0.5)

@@ -7,7 +7,7 @@ from scipy import stats
 from skyproof.errors import ConfigurationError
 from skyproof.reproduction.agreement import rank_agreement, rank_correlations, renderer_agreement
 from skyproof.reproduction.paper_results import PAPER_RESULTS
-from skyproof.results.pairs.tiles import Series, TileCounts
+from skyproof.results.pairs.counts import OutcomeCounts, Series
 from tests.results.counted import on_tiles
 
 PAPER = {name: result.easr for name, result in PAPER_RESULTS.items()}
@@ -94,7 +94,7 @@ def test_two_renderers(rng):
         counted({"T-U-0": 60, "T-U-1": 40, "T-Ma": 70, "T-Fc": 20, "T-X": 5}, renderer="cycles"),
     )
     alone = counted({"T-U-2": 0}).series  # a repeat that only one of them has does not count
-    both = TileCounts(ours.cells, {**ours.series, **other.series, **alone})
+    both = OutcomeCounts(ours.cells, {**ours.series, **other.series, **alone})
     found = renderer_agreement(both, ["T-U", "T-Fc", "T-Ma", "T-X", "R-U"], generator=rng)
     # T-X and R-U are on one of them only.
     assert found.attacks == ["T-Ma", "T-U", "T-Fc"]
@@ -118,7 +118,7 @@ def test_two_renderers(rng):
 def test_two_renderers_of_unlike_tiles_leave_the_order_open(rng):
     ours = counted(OURS, rng)
     other = counted({"T-U-0": 55, "T-Ma": 50, "T-Fc": 45}, rng, renderer="cycles")
-    both = TileCounts(ours.cells, {**ours.series, **other.series})
+    both = OutcomeCounts(ours.cells, {**ours.series, **other.series})
     found = renderer_agreement(both, ["T-U", "T-Ma", "T-Fc"], generator=rng)
     assert -1 <= found.spearman.low < found.spearman.high <= 1
     fixed = rank_agreement(

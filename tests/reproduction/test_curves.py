@@ -7,7 +7,7 @@ import pytest
 
 from skyproof.errors import ConfigurationError
 from skyproof.reproduction.curves import curve_families, p1_score, practicality_curve
-from skyproof.results.pairs.tiles import Series
+from skyproof.results.pairs.counts import Series
 from tests.results.counted import on_tiles
 
 

@@ -76,7 +76,7 @@ def test_what_is_hidden_from_each_judge(folder):
             assert float(row[f"{prefix}easr_low"]) < 40 < float(row[f"{prefix}easr_high"])
         assert rows["R-U", judge]["net_easr"] == "–"
     # The run's own numbers are of its own detectors alone.
-    mean = Results.open(folder).headlines()[0].row
+    mean = Results.open(folder).quoted[0]
     assert (mean.detector, mean.easr.estimate) == ("mean", pytest.approx(0.8))
 
 

@@ -1,16 +1,28 @@
 """Counts without the outcomes that they are made of, and outcomes for given counts."""
 
+from collections.abc import Iterable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from skyproof.results.pairs.outcomes import outcome_table
-from skyproof.results.pairs.tiles import TileCounts
+from skyproof.results.pairs.counts import OutcomeCounts, read_counts
+from skyproof.results.pairs.outcomes import Outcome, outcome_table, write_outcomes
+
+
+def count_outcomes(outcomes: Iterable[Outcome]) -> OutcomeCounts:
+    """Counts outcomes as they are read from a score folder."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "outcomes.parquet"
+        write_outcomes(path, outcomes)
+        return read_counts(path)
 
 
 def on_tiles(names, series):
     """Counts `[C, 4]` per series on tiles of these names, with a single vehicle on every tile."""
-    return TileCounts(tuple((name, "car") for name in names), series)
+    return OutcomeCounts(tuple((name, "car") for name in names), series)
 
 
 def write_counts(path, tiles):

@@ -103,6 +103,7 @@ def coverage(world, *, runs, seed):
         groups = [
             Group(
                 _counts(rng, _rates(rng, world, side, scale, shared, tile, vehicle), cell, world),
+                sample,
                 [
                     side.repeats_of(str(number), training, repeat)
                     for training, repeat, _ in side.series
@@ -111,9 +112,9 @@ def coverage(world, *, runs, seed):
             for number, (side, scale) in enumerate(zip(world.sides, scales, strict=True))
         ]
         if len(groups) == 1:
-            interval = mean_interval(groups[0], sample)
+            interval = mean_interval(groups[0])
         else:
-            interval = difference_interval(groups[:1], groups[1:], sample)
+            interval = difference_interval(groups[:1], groups[1:])
         held += interval.low <= world.truth <= interval.high
         widths.append(interval.high - interval.low)
     return held / runs, float(np.mean(widths))

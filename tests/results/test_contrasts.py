@@ -4,11 +4,13 @@ Simulations say how often the interval holds the truth.
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
+from skyproof.results.statistics import contrasts
+from skyproof.results.statistics.contrasts import Group
 from skyproof.results.statistics.intervals import cluster_interval
 from skyproof.results.statistics.rates import overall_attack_success_rate
 from skyproof.results.statistics.repeats import DRAWS, SEEDS, TRAININGS, Repeat
@@ -16,13 +18,25 @@ from skyproof.results.statistics.sample import Sample
 
 TILES, VEHICLES = 40, 6
 MARGIN = 1 - 0.025 ** (1 / TILES)
+NUMBERS = np.zeros(1, dtype=np.int64)
+# A group whose sample is given later.
+ANY = Sample(NUMBERS, NUMBERS, NUMBERS[None])
 
 
 def stack(*lost, repeats=()):
     """Pair counts of series: of `VEHICLES` found before on every tile, so many are lost."""
     rows = [np.broadcast_to(each, TILES) for each in lost]
     counts = np.array([np.stack([VEHICLES - row, row, 0 * row], axis=1) for row in rows])
-    return Group(counts, repeats)
+    return Group(counts, ANY, repeats)
+
+
+def mean_interval(group, sample):
+    return contrasts.mean_interval(replace(group, sample=sample))
+
+
+def difference_interval(plus, minus, sample):
+    sides = ([replace(group, sample=sample) for group in side] for side in (plus, minus))
+    return contrasts.difference_interval(*sides)
 
 
 def tiles_alone(rng, replicates):
@@ -114,7 +128,7 @@ def test_a_difference_of_differences(sample, rng):
 
 
 def test_undefined_without_vehicles(sample):
-    nothing = Group(np.zeros((1, TILES, 3), dtype=np.int64))
+    nothing = Group(np.zeros((1, TILES, 3), dtype=np.int64), ANY)
     found = difference_interval([nothing], [stack(3)], sample)
     assert math.isnan(found.estimate)
     assert math.isnan(found.low)
@@ -184,7 +198,7 @@ def test_a_difference_has_the_repeats_of_both_sides(sample, rng):
     lost = rng.integers(2, 4, TILES)
     own = stack(lost + 1, lost + 2, lost + 3, repeats=labels("T-U", SEEDS, 3))
     other = stack(lost, lost - 2, repeats=labels("R-U", DRAWS, 2))
-    plain = difference_interval([Group(own.counts)], [Group(other.counts)], sample)
+    plain = difference_interval([Group(own.counts, ANY)], [Group(other.counts, ANY)], sample)
     found = difference_interval([own], [other], sample)
     seeds = (0.07**2 + 2 / 36) / 9
     draws = (0.5**2 + 2 / 36) / 4
@@ -212,10 +226,10 @@ def test_what_repeats_share_is_paired(sample, rng):
     paired = difference_interval([second], [first], sample)
     assert paired.errors["seeds"] == pytest.approx(0.07 / 3)
     draws = labels("R-U", DRAWS, 3)
-    first, second = (Group(each.counts, draws) for each in (first, second))
+    first, second = (Group(each.counts, ANY, draws) for each in (first, second))
     found = difference_interval([second], [first], sample)
     assert found.errors["draws"] == paired.errors["seeds"]
-    first, second = (Group(each.counts, seeds) for each in (first, second))
+    first, second = (Group(each.counts, ANY, seeds) for each in (first, second))
     # The same shuffled is not the same.
     other = stack(lost + 4, lost + 2, lost + 1, repeats=seeds)
     assert difference_interval([other], [first], sample).errors["seeds"] > 0.1
@@ -250,7 +264,7 @@ def test_draws_are_crossed_with_trainings(sample, rng):
     control = stack(
         *(lost + 2 * draw + training for training, draw in places), repeats=trained(*places)
     )
-    plain = mean_interval(Group(control.counts), sample)
+    plain = mean_interval(Group(control.counts, ANY), sample)
     found = mean_interval(control, sample)
     # Draws lie two sixths apart and trainings one, each about a mean of two.
     draws = (0.5**2 + 2 * (1 / 6) ** 2) / 4
@@ -292,18 +306,18 @@ def test_vehicles_that_fare_alike_on_every_tile_widen_the_interval(rng):
     # Tiles differ a little, too.
     lost[(sample.tile % 5 == 0) & (sample.vehicle == 0)] = 1
     counts = np.stack([1 - lost, lost, 0 * lost], axis=1)[None]
-    found = mean_interval(Group(counts), sample)
+    found = mean_interval(Group(counts, ANY), sample)
     assert found.errors["vehicles"] == pytest.approx((0.25 / 7) ** 0.5, rel=0.1)
     assert found.errors["tiles"] < 0.01
     # Student's quantile of 7 degrees for a mean of 8 observations is 0.45; those of rates are less.
     assert 0.35 < found.high - found.estimate < 0.47
     # Against another camouflage that loses the same vehicles they play no part.
-    same = difference_interval([Group(counts)], [Group(counts)], sample)
+    same = difference_interval([Group(counts, ANY)], [Group(counts, ANY)], sample)
     assert same.errors["vehicles"] == pytest.approx(0)
 
 
 def test_where_all_agree_the_fewer_of_tiles_and_vehicles_count(rng):
     cells = [(f"tile-{tile:02d}", f"car-{car}") for tile in range(TILES) for car in range(8)]
     sample = Sample.draw(cells, generator=rng)
-    found = mean_interval(Group(np.tile([0, 1, 0], (1, len(cells), 1))), sample)
+    found = mean_interval(Group(np.tile([0, 1, 0], (1, len(cells), 1)), ANY), sample)
     assert (found.low, found.high) == (pytest.approx(0.025 ** (1 / 8)), 1.0)

@@ -7,7 +7,7 @@ import pytest
 from scipy import special
 
 from skyproof.errors import ConfigurationError
-from skyproof.results.pairs.tiles import Series, TileCounts
+from skyproof.results.pairs.counts import OutcomeCounts, Series
 from skyproof.results.statistics.intervals import cluster_interval, resample
 from skyproof.results.statistics.planning import (
     Assumptions,
@@ -160,7 +160,7 @@ def test_a_pilot_tells_how_vehicles_and_repeats_differ(rng):
         lost = (rng.random(len(cells)) < rates + more).astype(int)
         counts = np.stack([1 + 0 * lost, 1 - lost, lost, 0 * lost], axis=1)
         series[Series(name, "torch", "yolov5", "centre_1m")] = counts
-    assumed, _ = assume_from_pilot(TileCounts(tuple(cells), series))
+    assumed, _ = assume_from_pilot(OutcomeCounts(tuple(cells), series))
     assert assumed.fleet == 30
     # Rates of a beta distribution of 2 and 2 have a correlation of 1 / 5.
     assert assumed.vehicle_correlation == pytest.approx(0.2, abs=0.06)

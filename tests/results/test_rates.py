@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from skyproof.results.pairs.outcomes import Outcome
-from skyproof.results.pairs.tiles import count_tiles
 from skyproof.results.statistics import rates
+from tests.results.counted import count_outcomes
 
 
 def pair_counts(original, adversarial):
@@ -22,7 +22,7 @@ def pair_counts(original, adversarial):
         Outcome(**{**blank, "detected_original": before, "detected_adversarial": after})
         for before, after in pairs
     ]
-    (counts,) = count_tiles(outcomes).series.values()
+    (counts,) = count_outcomes(outcomes).series.values()
     return counts[0, 1:]
 
 

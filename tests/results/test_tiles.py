@@ -8,11 +8,11 @@ import pytest
 
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.results.merge import merge_counts
+from skyproof.results.pairs.counts import OutcomeCounts, Series, read_counts
 from skyproof.results.pairs.outcomes import Outcome, write_outcomes
-from skyproof.results.pairs.tiles import Series, TileCounts, count_tiles, read_tiles
 from skyproof.results.rows_file import read_rows, write_rows
 from skyproof.results.score_folder import ScoreRecord, SetScore, write_record
-from tests.results.counted import on_tiles, write_counts
+from tests.results.counted import count_outcomes, on_tiles, write_counts
 
 
 def outcome(tile, camouflage, before, after, vehicle="car-1", detector="yolov5"):
@@ -46,7 +46,7 @@ def outcomes():
 
 @pytest.fixture
 def tiles(outcomes):
-    return count_tiles(outcomes)
+    return count_outcomes(outcomes)
 
 
 def test_counts_by_hand(tiles):
@@ -67,15 +67,15 @@ def same(one, other):
 
 def test_counts_of_stored_outcomes_are_the_same(tmp_path, tiles, outcomes):
     write_outcomes(tmp_path / "outcomes.parquet", outcomes)
-    same(read_tiles(tmp_path / "outcomes.parquet"), tiles)
+    same(read_counts(tmp_path / "outcomes.parquet"), tiles)
     write_outcomes(tmp_path / "none.parquet", [])
-    assert read_tiles(tmp_path / "none.parquet").series == {}
-    assert count_tiles([]).cells == ()
+    none = read_counts(tmp_path / "none.parquet")
+    assert (none.series, none.cells) == ({}, ())
 
 
 def test_outcomes_for_given_counts_give_them(tmp_path, tiles):
     write_counts(tmp_path / "outcomes.parquet", tiles)
-    same(read_tiles(tmp_path / "outcomes.parquet"), tiles)
+    same(read_counts(tmp_path / "outcomes.parquet"), tiles)
 
 
 def test_set_scores_round_trip(tmp_path):
@@ -154,9 +154,9 @@ def test_two_renderers_are_merged(make_folder):
 def test_repeats_that_other_detectors_judged_are_refused(make_folder):
     one = make_folder("one", {"T-U-0": [[1, 1, 0], [0, 2, 0]]})
     two = make_folder("two", {"T-U-1": [[1, 1, 0], [0, 2, 0]]})
-    tiles = read_tiles(two / "outcomes.parquet")
+    tiles = read_counts(two / "outcomes.parquet")
     more = {key._replace(detector="retinanet"): counts for key, counts in tiles.series.items()}
-    write_counts(two / "outcomes.parquet", TileCounts(tiles.cells, {**tiles.series, **more}))
+    write_counts(two / "outcomes.parquet", OutcomeCounts(tiles.cells, {**tiles.series, **more}))
     with pytest.raises(
         ConfigurationError, match="T-U-0 judged by yolov5, and another repeat of it"
     ):

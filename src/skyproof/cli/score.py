@@ -166,8 +166,8 @@ class Score(Rendering):
         from skyproof.words import interval, number, percent
 
         results = Results.open(self.out)
-        for headline in results.headlines():
-            for row in headline.by_detector:
+        for quoted in results.quoted:
+            for row in results.by_detector(quoted):
                 limits = interval(row.easr.low, row.easr.high)
                 say(
                     f"  {row.camouflage!s:<24} {row.detector:<14} EASR "

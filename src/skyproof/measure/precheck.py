@@ -18,7 +18,7 @@ from skyproof.measure.measure import compare
 from skyproof.measure.trials import Trial, make_trials
 from skyproof.measure.views import Stage, View, counter, views
 from skyproof.render.renderer import TorchRenderer
-from skyproof.results.pairs.tiles import count_cells
+from skyproof.results.pairs.counts import count_cells
 from skyproof.results.precheck import Kind, MeasuredOn, PrecheckRecord, Rate
 from skyproof.results.result import MAIN_MATCH
 from skyproof.results.statistics.contrasts import Group, mean_interval
@@ -130,7 +130,7 @@ def _rates(
             counts.setdefault(key, []).append(count_cells(outcomes, row_of))
     rates: dict[str, list[Rate]] = {each.name: [] for each in detectors}
     for (detector, kind, name), drawn in counts.items():
-        easr = mean_interval(Group(np.stack(drawn)), sample)
+        easr = mean_interval(Group(np.stack(drawn), sample))
         rates[detector].append(Rate(kind, name, len(drawn), easr))
     return rates
 

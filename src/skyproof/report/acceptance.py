@@ -21,7 +21,7 @@ from skyproof.files import file_digest, write_json
 from skyproof.layout import Layout
 from skyproof.report.acceptance_figure import chances_figure
 from skyproof.results.findings import findings, worst
-from skyproof.results.pairs.tiles import TileCounts
+from skyproof.results.pairs.counts import OutcomeCounts
 from skyproof.results.precheck import read_prechecks
 from skyproof.results.result import MAIN_MATCH
 from skyproof.results.results import RENDERER, Results
@@ -104,7 +104,7 @@ def rule(results: Results, requirement: Requirement, alarms: Sequence[str] = ())
     checked = read_prechecks(Layout(results.folder).detectors)
     rulings = []
     for name in results.detectors:
-        attacks = _attacks(results.tiles, name)
+        attacks = _attacks(results.counts, name)
         if not attacks:
             raise ConfigurationError(
                 "A verdict expects optimised camouflages or chosen controls among the scores, "
@@ -171,7 +171,7 @@ def write_verdict(
     write_json(layout.verdict, document)
 
 
-def _attacks(tiles: TileCounts, detector: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def _attacks(tiles: OutcomeCounts, detector: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Gives found and lost vehicles per tile, by camouflage and renderer."""
     names, place = np.unique([tile for tile, _ in tiles.cells], return_inverse=True)
     attacks = {}
@@ -242,8 +242,8 @@ def _doubted(ruling: Ruling, requirement: Requirement) -> Ruling:
 def _more_vehicles(more_tiles: int | None, results: Results) -> int | None:
     if more_tiles is None:
         return None
-    shown = next(iter(results.tiles.series.values()))[:, 0]
-    per_tile = shown.sum() / len({tile for tile, _ in results.tiles.cells})
+    shown = next(iter(results.counts.series.values()))[:, 0]
+    per_tile = shown.sum() / len({tile for tile, _ in results.counts.cells})
     return math.ceil(more_tiles * per_tile)
 
 
@@ -253,7 +253,7 @@ def _how(more_tiles: int, results: Results) -> str:
     if not place.exists():
         return ""
     scenes = len(read_scenes(place))
-    needed = len({tile for tile, _ in results.tiles.cells}) + more_tiles
+    needed = len({tile for tile, _ in results.counts.cells}) + more_tiles
     if needed >= scenes:
         return (
             f" {scenes} test scenes cannot show so many. Ask for a wider gap between the two "
@@ -276,10 +276,10 @@ def _asked(requirement: Requirement) -> str:
 
 def _figure(results: Results, requirement: Requirement) -> Markup | None:
     try:
-        assumptions, _ = assume_from_pilot(results.tiles)
+        assumptions, _ = assume_from_pilot(results.counts)
     except ConfigurationError:
         return None
-    tiles = len({tile for tile, _ in results.tiles.cells})
+    tiles = len({tile for tile, _ in results.counts.cells})
     return Markup(chances_figure(chances_on_tiles(requirement, assumptions, tiles), requirement))
 
 

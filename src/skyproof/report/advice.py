@@ -7,20 +7,17 @@ from collections.abc import Sequence
 
 from skyproof import words
 from skyproof.camouflage.name import CamouflageName
-from skyproof.results.result import MEAN, Headline
+from skyproof.results.result import MEAN, Result
 from skyproof.results.results import Results
 
 _FEW_TILES = 20
 _MUCH_BY_CHANCE = 0.1
 
 
-def advice(headline: Headline) -> list[str]:
-    """Gives advice on the detectors from the numbers of one camouflage."""
-    single = [
-        row
-        for row in headline.by_detector
-        if row.detector != MEAN and not math.isnan(row.easr.estimate)
-    ]
+def advice(rows: Sequence[Result]) -> list[str]:
+    """Gives advice on the detectors from the results of one camouflage, the quoted one last."""
+    quoted = rows[-1]
+    single = [row for row in rows if row.detector != MEAN and not math.isnan(row.easr.estimate)]
     sentences = []
     if len(single) > 1:
         ranked = sorted(single, key=lambda row: row.easr.estimate)
@@ -28,7 +25,7 @@ def advice(headline: Headline) -> list[str]:
         worst = ranked[-1]
         if best.easr.high < worst.easr.low:
             sentences.append(
-                f"{words.detector_name(best.detector)} withstands {headline.camouflage} better "
+                f"{words.detector_name(best.detector)} withstands {quoted.camouflage} better "
                 f"than {words.detector_name(worst.detector)} "
                 f"({words.percent(best.easr.estimate)} against "
                 f"{words.percent(worst.easr.estimate)} hidden): harden the weaker one first."
@@ -38,13 +35,13 @@ def advice(headline: Headline) -> list[str]:
             sentences.append(
                 "The detectors’ intervals overlap, so this result gives no reason to prefer one."
             )
-    random = headline.row.random
+    random = quoted.random
     if random is not None and random.easr > _MUCH_BY_CHANCE:
         sentences.append(
             f"Random patterns already hide {words.percent(random.easr)}, so the detectors depend "
             "on ordinary vehicle colours. Train with more varied vehicle textures first."
         )
-    strongest = headline.row.strongest
+    strongest = quoted.strongest
     if strongest is not None and strongest.easr > _MUCH_BY_CHANCE:
         sentences.append(
             f"The control {strongest.control} hides {words.percent(strongest.easr)} without any "
@@ -70,17 +67,17 @@ def advice(headline: Headline) -> list[str]:
 
 def limits(
     results: Results,
-    every: Sequence[Sequence[Headline]],
+    every: Sequence[Result],
     *,
-    asked: bool = False,
+    queried: bool = False,
     more: bool = False,
 ) -> list[str]:
     """Names the limits of the numbers.
 
     Args:
         results: of the run.
-        every: headlines by camouflage.
-        asked: whether query attacks were run beside those by gradients.
+        every: result to quote of each camouflage.
+        queried: whether query attacks were run beside those by gradients.
         more: whether the page has further sections, which tell of other detectors.
     """
     sentences = []
@@ -101,7 +98,7 @@ def limits(
             "whether it survives in reality."
         )
     if every:
-        tiles = every[0][0].row.clusters
+        tiles = every[0].clusters
         few = " That is few: read the intervals as rough." if tiles < _FEW_TILES else ""
         sentences.append(f"The intervals rest on {tiles} background tiles.{few}")
         sentences.append(
@@ -109,7 +106,7 @@ def limits(
             "attack seeds and random controls. They do not cover another training of the "
             "detectors."
         )
-        attacked = _attacked(results, every[0][0])
+        attacked = _attacked(results, every[0].camouflage)
         if attacked:
             others = any(name.variant.startswith(("on_", "without_")) for name in results.names)
             sentences.append(
@@ -117,7 +114,7 @@ def limits(
                 "Held-out detectors may lose fewer vehicles"
                 + (" (see the tables)." if others or more else "; none was scored here.")
             )
-        if attacked and not asked:
+        if attacked and not queried:
             sentences.append(
                 "No query attack was run beside the gradient attacks, so this report cannot tell "
                 "whether the detectors mask their gradients, as some defences do."
@@ -141,23 +138,23 @@ def limits(
     return sentences
 
 
-def _not_converged(results: Results, every: Sequence[Sequence[Headline]]) -> list[str]:
+def _not_converged(results: Results, every: Sequence[Result]) -> list[str]:
     """Gives the camouflages with a repeat that was still getting stronger."""
     growing = []
-    for headline, *_ in every:
+    for row in every:
         own = [
             record.convergence
             for name, record in results.records.items()
-            if CamouflageName.read(name).pooled == headline.camouflage
+            if CamouflageName.read(name).pooled == row.camouflage
         ]
         if any(found is not None and not found.converged for found in own):
-            growing.append(str(headline.camouflage))
+            growing.append(str(row.camouflage))
     return growing
 
 
-def _attacked(results: Results, headline: Headline) -> list[str]:
+def _attacked(results: Results, camouflage: CamouflageName) -> list[str]:
     """Gives the detectors that a camouflage was optimised against; empty where not recorded."""
-    for name in (str(headline.camouflage), str(headline.camouflage.with_repeat(0))):
+    for name in (str(camouflage), str(camouflage.with_repeat(0))):
         record = results.records.get(name)
         if record is not None and record.attack is not None:
             return [words.detector_name(detector) for detector in record.attack.detectors]

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from skyproof.camouflage.name import CamouflageName
-from skyproof.report.uncertainty import left_out
-from skyproof.results.result import MEAN, Contrast, Headline, Result
+from skyproof.results.result import MEAN, Contrast, Result
 from skyproof.results.results import RENDERER
 from skyproof.results.statistics.intervals import Interval
 from skyproof.results.worst import WorstCase
@@ -16,43 +16,44 @@ _THIN = "\u202f"
 _WORTH_SAYING = 0.05
 
 
-def answer(headline: Headline) -> list[str]:
-    """Gives the result in plain sentences, with its uncertainty."""
-    row = headline.row
+def answer(rows: Sequence[Result], lenient: Result | None = None) -> list[str]:
+    """Gives the results of one camouflage in plain sentences, with their uncertainty.
+
+    Args:
+        rows: results by detector; the last one is quoted, the mean where there are several.
+        lenient: the quoted result by the lenient rule; None where it was not scored.
+    """
+    row = rows[-1]
     several = row.detector == MEAN
     whose = "these detectors" if several else detector_name(row.detector)
     easr = row.easr.estimate
     if math.isnan(easr):
-        silent = [
-            detector_name(other.detector)
-            for other in headline.by_detector
-            if math.isnan(other.easr.estimate) and other is not row
-        ]
+        undefined = [other for other in rows[:-1] if math.isnan(other.easr.estimate)]
+        silent = [detector_name(other.detector) for other in undefined]
         return [
             f"The success rate is undefined: {', '.join(silent) or whose} found none of the "
             "vehicles without camouflage."
         ]
     sentences = [
-        f"{headline.camouflage} hides {percent(easr)} ({_sure(row.easr)}) of the vehicles that "
+        f"{row.camouflage} hides {percent(easr)} ({_sure(row.easr)}) of the vehicles that "
         f"{whose} found without camouflage."
     ]
     if easr < 0:
         sentences = [
-            f"With {headline.camouflage}, {whose} found {percent(-easr)} more vehicles, not fewer "
+            f"With {row.camouflage}, {whose} found {percent(-easr)} more vehicles, not fewer "
             f"({_sure(row.easr)} for the share hidden)."
         ]
     if several:
-        rates = [
-            other.easr.estimate
-            for other in headline.by_detector
-            if other.detector != MEAN and not math.isnan(other.easr.estimate)
-        ]
-        least = percent(min(rates))
-        most = percent(max(rates))
+        rates = [other.easr.estimate for other in rows[:-1]]
+        known = [rate for rate in rates if not math.isnan(rate)]
+        least = percent(min(known))
+        most = percent(max(known))
         alike = f"The share is {most} for every detector."
         sentences.append(alike if least == most else f"The share is {least} to {most} by detector.")
-    lenient = [] if headline.lenient is None else [_leniently(row, headline.lenient)]
-    return [*sentences, *_beside_controls(row), *lenient, *left_out(row)]
+    sentences += _beside_controls(row)
+    if lenient is not None:
+        sentences.append(_leniently(row, lenient))
+    return [*sentences, *_left_out(row)]
 
 
 def _leniently(row: Result, lenient: Result) -> str:
@@ -139,6 +140,20 @@ def _how(control: CamouflageName) -> str:
     even = "" if control.magnitude is None else "every vertex out"
     paint = "" if control.constraints is None else "the best plain paint"
     return " and ".join(part for part in (paint, even) if part)
+
+
+def _left_out(row: Result) -> list[str]:
+    """Names each source of variation that the intervals do not cover."""
+    sentences = []
+    if "vehicles" not in row.easr.errors and "tiles" in row.easr.errors:
+        sentences.append("One vehicle was tested, so the interval does not cover other vehicles.")
+    if row.repeats == 1:
+        sentences.append("One attack was run, so the interval does not cover other seeds.")
+    if row.random is not None and row.random.draws == 1:
+        sentences.append(
+            "One random pattern was drawn, so the net interval does not cover other draws."
+        )
+    return sentences
 
 
 def _sure(rate: Interval) -> str:

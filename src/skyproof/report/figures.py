@@ -13,9 +13,10 @@ matplotlib.use("Agg")
 import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 
 from skyproof.results.conditions import Panel
-from skyproof.results.result import Headline, Result
+from skyproof.results.result import Result
 from skyproof.results.statistics.intervals import Interval
 from skyproof.words import detector_name
 
@@ -46,33 +47,23 @@ STYLE: Any = {
 }
 
 
-def forest_figure(headline: Headline) -> str:
-    """Draws per detector the share hidden (EASR), and what that is net of its controls.
+def forest_figure(
+    salt: str,
+    labels: Sequence[str],
+    rows: Sequence[Result],
+    controls: Sequence[Result | None],
+) -> str:
+    """Draws per result the share hidden (EASR), and what remains after subtracting its controls.
 
     Bars are 95 % intervals.
     """
-    rows = [(detector_name(row.detector), row) for row in headline.by_detector]
-    controls = [headline.control.get(row.detector) for row in headline.by_detector]
-    return _forest(f"forest-{headline.camouflage}-{headline.renderer}", rows, controls)
-
-
-def many_figure(headlines: Sequence[Headline]) -> str:
-    """Draws per camouflage the mean over detectors, as `forest_figure` does per detector."""
-    rows = [(str(headline.camouflage), headline.row) for headline in headlines]
-    controls = [headline.control.get(headline.row.detector) for headline in headlines]
-    return _forest(f"many-{headlines[0].renderer}", rows, controls)
-
-
-def _forest(
-    salt: str, rows: Sequence[tuple[str, Result]], controls: Sequence[Result | None]
-) -> str:
     randoms = [None if row is None else row.easr for row in controls]
-    strongest = [None if row.strongest is None else row.strongest.net for _, row in rows]
+    strongest = [None if row.strongest is None else row.strongest.net for row in rows]
     series: list[tuple[str, str, str, float, list[Interval | None]]] = [
-        ("camouflage: share hidden (EASR)", "o", BLUE, -0.22, [row.easr for _, row in rows]),
-        ("net of random patterns", "D", GREEN, -0.07, [row.net_easr for _, row in rows]),
+        ("camouflage: share hidden (EASR)", "o", BLUE, -0.22, [row.easr for row in rows]),
+        ("net of random controls", "D", GREEN, -0.07, [row.net_easr for row in rows]),
         ("net of the strongest control", "^", ORANGE, 0.08, strongest),
-        ("random patterns", "s", GREY, 0.23, randoms),
+        ("random controls", "s", GREY, 0.23, randoms),
     ]
     with plt.rc_context(STYLE | {"svg.hashsalt": salt}):
         figure, axes = plt.subplots(
@@ -88,7 +79,7 @@ def _forest(
                 lows.append(rate.estimate if math.isnan(rate.low) else rate.low)
                 highs.append(rate.estimate if math.isnan(rate.high) else rate.high)
                 drawn = True
-        axes.set_yticks(range(len(rows)), [name for name, _ in rows])
+        axes.set_yticks(range(len(rows)), labels)
         axes.set_ylim(len(rows) - 0.5, -0.5)
         axes.axvline(0, color=GREY, linewidth=1)
         axes.set_xlim(100 * min(lows) - 4, 100 * max(highs) + 4)
@@ -144,6 +135,9 @@ def loss_figure(title: str, curves: Mapping[str, Sequence[tuple[float, float]]])
             )
         if positive:
             axes.set_yscale("log")
+            # The default formatter writes formulas, which are not parsed.
+            axes.yaxis.set_major_formatter("{x:g}")
+            axes.yaxis.set_minor_formatter(NullFormatter())
         axes.set_title(title, loc="left", fontsize=11, fontweight="bold")
         axes.set_xlabel("step")
         axes.set_ylabel("loss")

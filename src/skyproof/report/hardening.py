@@ -12,7 +12,7 @@ from skyproof.layout import Layout
 from skyproof.results.conditions import Bin, Panel
 from skyproof.results.findings import findings
 from skyproof.results.precheck import read_prechecks
-from skyproof.results.result import Headline
+from skyproof.results.result import Result
 from skyproof.results.results import Results
 from skyproof.scenes.scene import read_scenes
 
@@ -38,8 +38,8 @@ class Hardening:
 
 def hardening(
     results: Results,
-    every: Sequence[Sequence[Headline]],
-    panels: Callable[[Results, Headline], Sequence[Panel]],
+    every: Sequence[Result],
+    panels: Callable[[Result], Sequence[Panel]],
 ) -> Hardening | None:
     """Names the images that help against the strongest attacks, and how to make them.
 
@@ -47,33 +47,33 @@ def hardening(
 
     Args:
         results: of the run.
-        every: headlines by camouflage.
-        panels: gives a headline's success by condition.
+        every: result to quote of each camouflage.
+        panels: gives success by condition.
 
     Returns:
         None where no attack hides anything for sure, or the run folder lacks what is needed.
     """
     layout = Layout(results.folder)
     fleet = layout.fleets / "attack"
-    sure = [each[0] for each in every if each[0].row.easr.low > 0]
-    known = [headline for headline in sure if _folder(results, headline.camouflage) is not None]
-    ranked = sorted(known, key=lambda headline: -headline.row.easr.estimate)[:_STRONGEST]
+    sure = [row for row in every if row.easr.low > 0]
+    known = [row for row in sure if _folder(results, row.camouflage) is not None]
+    ranked = sorted(known, key=lambda row: -row.easr.estimate)[:_STRONGEST]
     needed = (layout.backgrounds / "index.json", fleet, layout.scenes("test"))
     if not ranked or not all(place.exists() for place in needed):
         return None
-    names = [shlex.quote(str(_folder(results, headline.camouflage))) for headline in ranked]
-    shown = " and ".join(str(headline.camouflage) for headline in ranked)
+    names = [shlex.quote(str(_folder(results, row.camouflage))) for row in ranked]
+    shown = " and ".join(str(row.camouflage) for row in ranked)
     images = [
         f"{shown} {'hide' if len(ranked) > 1 else 'hides'} most. Add images of such vehicles with "
         "their labels to the training images. The commands below render them on the ground and "
         "with the vehicles of the attack, not those of the test."
     ]
-    for headline in ranked:
-        for panel in panels(results, headline):
+    for row in ranked:
+        for panel in panels(row):
             extremes = _extremes(panel)
             if extremes is not None and _apart(*extremes):
                 images.append(
-                    f"{headline.camouflage} hides most at {panel.title.lower()} "
+                    f"{row.camouflage} hides most at {panel.title.lower()} "
                     f"{_told(extremes[0])}: include such views."
                 )
     size_px = read_scenes(layout.scenes("test"))[0].camera.size_px

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 from markupsafe import Markup
 
+from skyproof.camouflage.name import CamouflageName
 from skyproof.layout import Layout
 from skyproof.report.figures import loss_figure
-from skyproof.results.result import Headline
 from skyproof.results.results import Results
 from skyproof.results.stored import read_log
 
 
-def attack_loss(results: Results, headline: Headline) -> Markup | None:
+def attack_loss(results: Results, name: CamouflageName) -> Markup | None:
     """Draws the losses of an attack against its steps; None where they are not kept."""
-    path = results.pattern(headline.camouflage, "steps.jsonl")
+    path = results.pattern(name, "steps.jsonl")
     curves: dict[str, list[tuple[float, float]]] = {}
     for row in [] if path is None else read_log(path):
         losses = row.losses or ({} if row.loss is None else {"all": row.loss})
         for detector, loss in losses.items():
             curves.setdefault(detector, []).append((float(row.step), loss))
-    title = f"Attack {headline.camouflage}: loss per detector"
+    title = f"Attack {name}: loss per detector"
     return Markup(loss_figure(title, curves)) if curves else None
 
 

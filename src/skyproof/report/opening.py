@@ -11,7 +11,7 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.report.acceptance import Acceptance, Ruling
 from skyproof.report.checks import CheckedSet
 from skyproof.report.precheck import PrecheckPart
-from skyproof.results.result import MEAN, Headline
+from skyproof.results.result import MEAN, Result
 from skyproof.results.statistics.intervals import Interval
 from skyproof.words import detector_name, interval, listed, percent
 
@@ -43,7 +43,7 @@ class Opening:
 
 
 def opening(
-    every: Sequence[Sequence[Headline]],
+    every: Sequence[Result],
     acceptance: Acceptance | None,
     precheck: PrecheckPart,
     checked: Sequence[CheckedSet],
@@ -53,7 +53,7 @@ def opening(
     """Gives the first screen of a report.
 
     Args:
-        every: results to quote, by camouflage.
+        every: result to quote of each camouflage.
         acceptance: what was decided of the detectors; None where nothing was asked.
         precheck: whether they were worth attacking.
         checked: the image sets that their baseline was measured on.
@@ -62,10 +62,9 @@ def opening(
     steps = _next_steps(every, acceptance, precheck, checked, hardened_by)
     if acceptance is not None:
         return _ruled(max(acceptance.rulings, key=lambda each: _SEVERITY.index(each.answer)), steps)
-    strongest = strongest_of(every)
-    if strongest is None:
+    row = strongest_of(every)
+    if row is None:
         return _baseline(checked, steps)
-    row = strongest.row
     whose = (
         "the detectors found" if row.detector == MEAN else f"{detector_name(row.detector)} found"
     )
@@ -75,7 +74,7 @@ def opening(
         percent(row.easr.estimate),
         _sure(row.easr),
         f"of the vehicles that {whose} without camouflage are missed with: "
-        f"{strongest.camouflage.in_words} ({strongest.camouflage}).",
+        f"{row.camouflage.in_words} ({row.camouflage}).",
         ""
         if row.random is None
         else f"Random patterns of the same kind hide {percent(row.random.easr)}.",
@@ -83,10 +82,10 @@ def opening(
     )
 
 
-def strongest_of(every: Sequence[Sequence[Headline]]) -> Headline | None:
+def strongest_of(every: Sequence[Result]) -> Result | None:
     """Gives the camouflage that hides most, on the renderer of the attack."""
-    known = [one[0] for one in every if not math.isnan(one[0].row.easr.estimate)]
-    return max(known, key=lambda one: one.row.easr.estimate, default=None)
+    known = [row for row in every if not math.isnan(row.easr.estimate)]
+    return max(known, key=lambda row: row.easr.estimate, default=None)
 
 
 def _ruled(ruling: Ruling, steps: Sequence[str]) -> Opening:
@@ -132,7 +131,7 @@ def _baseline(checked: Sequence[CheckedSet], steps: Sequence[str]) -> Opening:
 
 
 def _next_steps(
-    every: Sequence[Sequence[Headline]],
+    every: Sequence[Result],
     acceptance: Acceptance | None,
     precheck: PrecheckPart,
     checked: Sequence[CheckedSet],

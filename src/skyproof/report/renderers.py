@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from skyproof import words
-from skyproof.results.result import Headline, Result
+from skyproof.results.result import Result
 from skyproof.results.results import Change, Results
 from skyproof.results.statistics.intervals import Interval
 
@@ -24,29 +24,29 @@ class Compared:
     net_change: Interval | None
 
 
-def compare_renderers(results: Results, first: Headline, second: Headline) -> list[Compared]:
-    """Gives the detectors that judged both renderers' images, and their mean."""
-    others = {row.detector: row for row in second.by_detector}
+def compare_renderers(results: Results, first: Result, second: Result) -> list[Compared]:
+    """Compares the detectors that were scored under both renderers, and their mean."""
+    others = {row.detector: row for row in results.by_detector(second)}
     return [
         Compared(
             detector=row.detector,
             first=row,
-            second=others[row.detector],
-            first_random=first.control.get(row.detector),
-            second_random=second.control.get(row.detector),
-            change=_difference(_change(results, first, second, row.detector)),
-            net_change=_difference(_change(results, first, second, row.detector, net=True)),
+            second=other,
+            first_random=results.control(row),
+            second_random=results.control(other),
+            change=_difference(results, row, other),
+            net_change=_difference(results, row, other, net=True),
         )
-        for row in first.by_detector
-        if row.detector in others
+        for row in results.by_detector(first)
+        if (other := others.get(row.detector)) is not None
     ]
 
 
-def survival(first: Headline, second: Headline, gross: Change | None, net: Change | None) -> str:
+def survival(first: Result, gross: Change | None, net: Change | None) -> str:
     """Says whether the second renderer's images hide as many vehicles as the first's.
 
     Args:
-        first, second: one camouflage under both renderers.
+        first: the result under the first renderer.
         gross, net: how its EASR and its net EASR change, mean over detectors; None where not
             known.
     """
@@ -76,19 +76,15 @@ def survival(first: Headline, second: Headline, gross: Change | None, net: Chang
     )
 
 
-def _change(
-    results: Results, first: Headline, second: Headline, detector: str, *, net: bool = False
-) -> Change | None:
-    return results.change(
+def _difference(
+    results: Results, first: Result, second: Result, *, net: bool = False
+) -> Interval | None:
+    change = results.change(
         [first.camouflage],
-        detector=detector,
+        detector=first.detector,
         net=net,
         first=first.renderer,
         second=second.renderer,
     )
-
-
-def _difference(change: Change | None) -> Interval | None:
-    if change is None or math.isnan(change.difference.estimate):
-        return None
-    return change.difference
+    undefined = change is None or math.isnan(change.difference.estimate)
+    return None if undefined or change is None else change.difference

@@ -1,8 +1,5 @@
 """Writes a run's `report.html`, one self-contained page."""
 
-from __future__ import annotations
-
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,16 +21,15 @@ from skyproof.report.answer import answer, worst_case
 from skyproof.report.appendix import flat_settings, full_tables
 from skyproof.report.checks import checked_sets, standing
 from skyproof.report.embedded import embedded, embedded_jpeg
-from skyproof.report.figures import condition_figure, forest_figure, many_figure
+from skyproof.report.figures import condition_figure, forest_figure
 from skyproof.report.hardening import hardening, readings
 from skyproof.report.losses import attack_loss, training_loss
 from skyproof.report.opening import opening, strongest_of
 from skyproof.report.precheck import precheck_part
 from skyproof.report.queries import query_part
-from skyproof.report.renderers import Compared, compare_renderers, survival
-from skyproof.report.uncertainty import error_rows
+from skyproof.report.renderers import compare_renderers, survival
 from skyproof.results.conditions import Panel, condition_panels
-from skyproof.results.result import Headline
+from skyproof.results.result import Result
 from skyproof.results.results import Results
 from skyproof.results.statistics.acceptance import Requirement
 from skyproof.results.worst import worst_cases
@@ -41,8 +37,8 @@ from skyproof.results.worst import worst_cases
 _SEED = 20240
 _PAIRS_OF_SECOND = 3
 _FEW = 4
-"""Up to so many camouflages have a section of their own; beyond it all but the strongest share
-one."""
+"""Up to this number of camouflages, each has a section of its own. Beyond it, all but the strongest
+share one."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +47,7 @@ class Section:
 
     Attributes:
         title: the heading.
-        html: what stands below it.
+        html: contents below it.
     """
 
     title: str
@@ -68,43 +64,6 @@ class _Picture:
     caption: str
 
 
-@dataclass(frozen=True)
-class _Second:
-    """What the page shows of one camouflage under a second renderer, beside the first."""
-
-    headline: Headline
-    answer: Sequence[str]
-    rows: Sequence[Compared]
-    pairs: Sequence[_Picture]
-    conditions: Markup | None
-
-
-@dataclass(frozen=True)
-class _Shown:
-    """What the page shows of one camouflage."""
-
-    headline: Headline
-    answer: Sequence[str]
-    forest: Markup
-    pairs: Sequence[_Picture]
-    pairs_detector: str
-    texture: str | None
-    on_vehicle: str | None
-    loss: Markup | None
-    conditions: Markup | None
-    readings: Sequence[str]
-    second: _Second | None
-
-
-@dataclass(frozen=True)
-class _Exhibit:
-    """What the page shows of one of many camouflages: a pair and how it looks."""
-
-    headline: Headline
-    pair: _Picture | None
-    on_vehicle: str | None
-
-
 def write_report(
     run: str | Path | Results,
     requirement: Requirement | None = None,
@@ -113,19 +72,18 @@ def write_report(
 ) -> Path:
     """Writes `results.json` and `report.html` into a run folder and returns the page's path.
 
-    Parts of the page whose files are missing are left out, and the page says so. What was written
-    before is replaced where it is ours: `results.json` has our form, and beside one that has, the
-    page is ours, too.
+    The page says which of its parts are left out because their files are missing. An earlier page
+    is replaced if the `results.json` beside it is one of skyproof.
 
     Args:
-        run: a run folder, or a folder of score folders; or their results, read before.
-        requirement: what is asked of the detectors; `verdict.json` is written, too. Where not
-            given, it is what an earlier report was asked.
-        sections: further sections of the page. They tell the results of many camouflages in full:
-            beside them, the page itself has only a picture of each.
+        run: a run folder, a folder of score folders, or their results.
+        requirement: requirement on the detectors, for which `verdict.json` is written as well;
+            that of an earlier report by default.
+        sections: further sections of the page with the results of many camouflages in full; the
+            page itself then has only a picture of each.
 
     Raises:
-        StoredFileError: nothing was scored yet, or a file is damaged; names the file.
+        StoredFileError: nothing was scored yet, or a file is damaged.
         ConfigurationError: the scores do not belong together.
         RunFolderError: the page cannot be written.
     """
@@ -176,54 +134,43 @@ def _write(
     results.write([case.json() for case in worst])
     if requirement is not None and acceptance is not None:
         write_verdict(results, requirement, acceptance, alarms)
-    by_camouflage: dict[str, list[Headline]] = {}
-    for headline in results.headlines():
-        if not headline.camouflage.variant:
-            by_camouflage.setdefault(str(headline.camouflage), []).append(headline)
-    every = list(by_camouflage.values())
+    contents = _Contents(results)
+    every = contents.every
+    strongest = strongest_of(every)
     few = len(every) <= _FEW
-    in_full = every if few else [] if more else _strongest(every)
-    sections = [_section(results, *headlines[:2]) for headlines in in_full]
-    others = [headlines for headlines in every if headlines not in in_full]
-    exhibits = [] if few else _exhibits(results, others)
+    in_full = every if few else [strongest] if strongest and not more else []
+    exhibits = [] if few else _exhibits([row for row in every if row not in in_full])
     precheck = precheck_part(results)
     checked = checked_sets(results)
-    hardened = hardening(results, every, _panels)
-    strongest = strongest_of(every)
+    hardened = hardening(results, every, contents.panels)
     page = (
         _environment()
         .get_template("report.html.j2")
         .render(
             results=results,
+            contents=contents,
             title=results.config.title or "Camouflage robustness of overhead vehicle detectors",
-            sections=sections,
+            every=every,
+            in_full=in_full,
             exhibits=exhibits,
             # One camouflage alone needs no name in every heading.
-            named=len(sections) > 1 or bool(exhibits),
-            overviews=[] if few else _overviews(results),
+            named=len(in_full) > 1 or bool(exhibits),
+            overviews=[] if few else contents.overviews(),
             worst=[worst_case(case) for case in worst],
-            first=every[0][0] if every else None,
             tested=_tested(results, every),
             acceptance=acceptance,
-            every=every,
             query=query,
             precheck=precheck,
             standing=standing(results),
             checked=checked,
             opening=opening(every, acceptance, precheck, checked, hardened_by=hardened is not None),
-            example=next(iter(_pairs(results, strongest, count=1)), None) if strongest else None,
+            example=next(iter(contents.pairs(strongest, 1)), None) if strongest else None,
             tables=full_tables(results),
-            errors=error_rows(results),
             more=more,
             training=training_loss(results),
-            advice=advice(every[0][0]) if every else [],
+            advice=advice(results.by_detector(every[0])) if every else [],
             hardening=hardened,
-            limits=limits(
-                results,
-                every,
-                asked=query is not None,
-                more=bool(more),
-            ),
+            limits=limits(results, every, queried=query is not None, more=bool(more)),
             settings=flat_settings(results.config.every),
         )
     )
@@ -253,96 +200,133 @@ def _environment() -> jinja2.Environment:
     return environment
 
 
-def _section(results: Results, headline: Headline, second: Headline | None = None) -> _Shown:
-    name = headline.camouflage
-    panels = _panels(results, headline)
-    return _Shown(
-        headline=headline,
-        answer=answer(headline),
-        forest=Markup(forest_figure(headline)),
-        pairs=_pairs(results, headline),
-        pairs_detector=headline.detectors[0],
-        texture=embedded(results.pattern(name, "texture.png")),
-        on_vehicle=embedded(results.pattern(name, "on_vehicle.png")),
-        loss=attack_loss(results, headline),
-        conditions=Markup(condition_figure(panels)) if panels else None,
-        readings=readings(panels),
-        second=_second(results, headline, second) if second else None,
-    )
+class _Contents:
+    """Words, figures and pictures of single results, for the template."""
+
+    def __init__(self, results: Results) -> None:
+        self._results = results
+        self._panels: dict[tuple[str, str], list[Panel]] = {}
+        self._quoted = [row for row in results.quoted if not row.camouflage.variant]
+        first: dict[str, Result] = {}
+        for row in self._quoted:
+            first.setdefault(str(row.camouflage), row)
+        self.every = list(first.values())
+
+    def second(self, row: Result) -> Result | None:
+        """Gives a camouflage's result under the other renderer; None without one."""
+        return next(
+            (
+                other
+                for other in self._quoted
+                if other.camouflage == row.camouflage and other.renderer != row.renderer
+            ),
+            None,
+        )
+
+    def answer(self, row: Result) -> list[str]:
+        return answer(self._results.by_detector(row), self._results.lenient(row))
+
+    def answer_beside(self, first: Result, second: Result) -> list[str]:
+        """Gives the answer under the second renderer, and whether the success survives it."""
+        gross, net = (
+            self._results.change(
+                [first.camouflage], net=net, first=first.renderer, second=second.renderer
+            )
+            for net in (False, True)
+        )
+        return [*self.answer(second), survival(first, gross, net)]
+
+    def compared(self, first: Result, second: Result) -> Sequence[Any]:
+        return compare_renderers(self._results, first, second)
+
+    def forest(self, row: Result) -> Markup:
+        rows = self._results.by_detector(row)
+        labels = [words.detector_name(each.detector) for each in rows]
+        return self._forest(f"forest-{row.camouflage}-{row.renderer}", labels, rows)
+
+    def overviews(self) -> list[tuple[str, Markup]]:
+        """Draws all camouflages in one diagram per renderer."""
+        figures = []
+        for renderer in self._results.renderers:
+            rows = [row for row in self._quoted if row.renderer == renderer]
+            if rows:
+                labels = [str(row.camouflage) for row in rows]
+                figures.append((renderer, self._forest(f"many-{renderer}", labels, rows)))
+        return figures
+
+    def _forest(self, salt: str, labels: Sequence[str], rows: Sequence[Result]) -> Markup:
+        controls = [self._results.control(row) for row in rows]
+        return Markup(forest_figure(salt, labels, rows, controls))
+
+    def panels(self, row: Result) -> list[Panel]:
+        key = (str(row.camouflage), row.renderer)
+        if key not in self._panels:
+            outcomes = self._results.outcomes(row.camouflage, row.renderer)
+            generator = np.random.default_rng(_SEED)
+            self._panels[key] = condition_panels(outcomes, generator=generator)
+        return self._panels[key]
+
+    def conditions(self, row: Result) -> Markup | None:
+        panels = self.panels(row)
+        return Markup(condition_figure(panels)) if panels else None
+
+    def readings(self, row: Result) -> list[str]:
+        return readings(self.panels(row))
+
+    def loss(self, row: Result) -> Markup | None:
+        return attack_loss(self._results, row.camouflage)
+
+    def picture(self, row: Result, file: str, *, lossless: bool = True) -> str | None:
+        return embedded(self._results.pattern(row.camouflage, file), lossless=lossless)
+
+    def pairs(self, row: Result, count: int | None = None) -> list[_Picture]:
+        """Gives the pictured scenes of a camouflage, or the first ones."""
+        pictures = []
+        for folder, pair in self._results.pairs(row.camouflage, row.renderer)[:count]:
+            caption = (
+                f"{pair.why}. {pair.found_before} of {pair.vehicles} vehicles found before, "
+                f"{pair.found_after} after."
+            )
+            document = folder / "pairs.json"
+            original = embedded_jpeg(inside(folder, pair.original, document))
+            adversarial = embedded_jpeg(inside(folder, pair.adversarial, document))
+            pictures.append(_Picture(pair.scene, original, adversarial, caption))
+        return pictures
+
+    def fewer_pairs(self, row: Result) -> list[_Picture]:
+        """Gives the first scenes that were chosen by hash, and the extremes."""
+        pairs = self.pairs(row)
+        chosen = [pair for pair in pairs if pair.caption.startswith("Chosen by hash")]
+        return [*chosen[:_PAIRS_OF_SECOND], *(pair for pair in pairs if pair not in chosen)]
 
 
-def _second(results: Results, first: Headline, headline: Headline) -> _Second:
-    panels = _panels(results, headline)
-    before = first.renderer
-    after = headline.renderer
-    gross = results.change([first.camouflage], first=before, second=after)
-    net = results.change([first.camouflage], net=True, first=before, second=after)
-    pairs = _pairs(results, headline)
-    chosen = [pair for pair in pairs if pair.caption.startswith("Chosen by hash")]
-    extremes = [pair for pair in pairs if pair not in chosen]
-    return _Second(
-        headline=headline,
-        answer=[*answer(headline), survival(first, headline, gross, net)],
-        rows=compare_renderers(results, first, headline),
-        pairs=[*chosen[:_PAIRS_OF_SECOND], *extremes],
-        conditions=Markup(condition_figure(panels)) if panels else None,
-    )
+def _exhibits(every: Sequence[Result]) -> list[Result]:
+    """Gives one result per family: of shapes in several magnitudes the one that hides most."""
+    strongest: dict[str, Result] = {}
+    for row in every:
+        known = strongest.setdefault(row.camouflage.family, row)
+        if row.easr.estimate > known.easr.estimate:
+            strongest[row.camouflage.family] = row
+    return list(strongest.values())
 
 
-def _strongest(every: Sequence[list[Headline]]) -> Sequence[list[Headline]]:
-    """Gives the camouflage that hides most; none where nothing is known."""
-    known = [one for one in every if not math.isnan(one[0].row.easr.estimate)]
-    return [max(known, key=lambda headlines: headlines[0].row.easr.estimate)] if known else []
-
-
-def _exhibits(results: Results, every: Sequence[Sequence[Headline]]) -> list[_Exhibit]:
-    """Gives one entry per family: of shapes in several magnitudes the one that hides most."""
-    strongest: dict[str, Headline] = {}
-    for headlines in every:
-        headline = headlines[0]
-        family = headline.camouflage.family
-        known = strongest.setdefault(family, headline)
-        if headline.row.easr.estimate > known.row.easr.estimate:
-            strongest[family] = headline
-    exhibits = []
-    for headline in strongest.values():
-        pairs = _pairs(results, headline, count=1)
-        path = results.pattern(headline.camouflage, "on_vehicle.png")
-        sheet = embedded(path, lossless=False)
-        exhibits.append(_Exhibit(headline, pairs[0] if pairs else None, sheet))
-    return exhibits
-
-
-def _overviews(results: Results) -> list[tuple[str, Markup]]:
-    """Draws per renderer all camouflages but variants in one diagram."""
-    figures = []
-    for renderer in results.renderers:
-        headlines = [
-            headline
-            for headline in results.headlines()
-            if headline.renderer == renderer and not headline.camouflage.variant
-        ]
-        if headlines:
-            figures.append((renderer, Markup(many_figure(headlines))))
-    return figures
-
-
-def _tested(results: Results, every: Sequence[Sequence[Headline]]) -> str:
-    """Says what was tested on what, in one sentence."""
+def _tested(results: Results, every: Sequence[Result]) -> str:
+    """Says in two sentences what was tested."""
     if not every:
         return ""
-    first = every[0][0]
-    names = [words.detector_name(name) for name in first.detectors]
-    many = f"{len(names)} overhead vehicle detector{'s' if len(names) != 1 else ''}"
+    rows = results.by_detector(every[0])
+    names = [words.detector_name(row.detector) for row in rows[: max(len(rows) - 1, 1)]]
+    many = "1 overhead vehicle detector" if len(names) == 1 else f"{len(names)} overhead vehicle"
+    many += " was" if len(names) == 1 else " detectors were"
     second = (
-        " The same scenes were then drawn by a second, physics-based renderer, Blender Cycles."
+        " A second, physics-based renderer, Blender Cycles, drew the same scenes."
         if len(results.renderers) > 1
         else ""
     )
     return (
-        f"{many} ({', '.join(names)}), tested on {words.number(first.row.vehicles)} rendered "
-        f"vehicles over {_imagery(results)}, each seen once without and once with camouflage in "
-        f"the same place, light and view.{second}"
+        f"{many} tested ({', '.join(names)}) on {words.number(every[0].vehicles)} rendered "
+        f"vehicles over {_imagery(results)}. Each vehicle was shown once without and once with "
+        f"camouflage, in the same place, light and view.{second}"
     )
 
 
@@ -354,22 +338,3 @@ def _imagery(results: Results) -> str:
     shown = ", ".join(results.sources[:4])
     more = f" and {len(results.sources) - 4} more" if len(results.sources) > 4 else ""
     return f"real imagery ({shown}{more})"
-
-
-def _panels(results: Results, headline: Headline) -> list[Panel]:
-    outcomes = results.outcomes(headline.camouflage, headline.renderer)
-    return condition_panels(outcomes, generator=np.random.default_rng(_SEED))
-
-
-def _pairs(results: Results, headline: Headline, count: int | None = None) -> list[_Picture]:
-    pictures = []
-    for folder, pair in results.pairs(headline.camouflage, headline.renderer)[:count]:
-        caption = (
-            f"{pair.why}. {pair.found_before} of {pair.vehicles} vehicles found before, "
-            f"{pair.found_after} after."
-        )
-        document = folder / "pairs.json"
-        original = embedded_jpeg(inside(folder, pair.original, document))
-        adversarial = embedded_jpeg(inside(folder, pair.adversarial, document))
-        pictures.append(_Picture(pair.scene, original, adversarial, caption))
-    return pictures

@@ -32,7 +32,7 @@ from skyproof.reproduction.cells import (
 )
 from skyproof.reproduction.paper_results import ON_BLENDER, ON_RENDERER, PAPER_RESULTS
 from skyproof.reproduction.reproduction import Reproduction, point_name
-from skyproof.results.pairs.tiles import TileCounts
+from skyproof.results.pairs.counts import OutcomeCounts
 from skyproof.results.result import MAIN_MATCH
 from skyproof.results.results import CYCLES, RENDERER
 from skyproof.results.statistics.intervals import Interval
@@ -61,7 +61,7 @@ class Agreement:
 
 
 def rank_agreement(
-    tiles: TileCounts,
+    tiles: OutcomeCounts,
     paper: Mapping[str, float],
     *,
     rows: Mapping[str, str] | None = None,
@@ -112,7 +112,7 @@ def is_copy(name: str, rows: Mapping[str, str], names: Collection[str]) -> bool:
 
 
 def renderer_agreement(
-    tiles: TileCounts,
+    tiles: OutcomeCounts,
     names: Iterable[str],
     *,
     generator: np.random.Generator,
@@ -134,7 +134,7 @@ def renderer_agreement(
         all(key._replace(renderer=renderer) in tiles.series for renderer in (RENDERER, CYCLES))
         for key in tiles.series
     ]
-    paired = TileCounts(tiles.cells, dict(itertools.compress(tiles.series.items(), both)))
+    paired = OutcomeCounts(tiles.cells, dict(itertools.compress(tiles.series.items(), both)))
     pooled = [_pooled(paired, renderer) for renderer in (RENDERER, CYCLES)]
     shared = [name for name in names if all(name in series for series in pooled)]
     if len(shared) < _FEWEST:
@@ -160,7 +160,7 @@ def renderer_agreement(
     )
 
 
-def _pooled(tiles: TileCounts, renderer: str) -> dict[str, list[Int[np.ndarray, "N 3"]]]:
+def _pooled(tiles: OutcomeCounts, renderer: str) -> dict[str, list[Int[np.ndarray, "N 3"]]]:
     """Gathers the pair counts of every repeat and detector by attack."""
     series: dict[str, list[np.ndarray]] = {}
     for key, counts in tiles.series.items():
@@ -311,7 +311,7 @@ def with_paper(
         wanted = {name: rate for name, rate in paper.items() if belongs(name)}
         generator = np.random.default_rng(0)
         return rank_agreement(
-            run.results.tiles, wanted, rows=rows, generator=generator, renderer=renderer
+            run.results.counts, wanted, rows=rows, generator=generator, renderer=renderer
         )
 
     return [

@@ -16,7 +16,7 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
 from skyproof.report.figures import GREY, INK, STYLE, as_files
 from skyproof.reproduction.paper_results import PAPER_RESULTS
-from skyproof.results.pairs.tiles import Series, TileCounts
+from skyproof.results.pairs.counts import OutcomeCounts, Series
 from skyproof.results.repeats import repeat_of
 from skyproof.results.result import MAIN_MATCH
 from skyproof.results.results import RENDERER
@@ -78,7 +78,7 @@ def p1_score(
     return np.where(np.isnan(easr), np.nan, score)
 
 
-def curve_families(tiles: TileCounts) -> list[str]:
+def curve_families(tiles: OutcomeCounts) -> list[str]:
     """Lists the families that have a curve: names with a magnitude ("S-O@0.4").
 
     Controls and variants have none.
@@ -94,7 +94,7 @@ def curve_families(tiles: TileCounts) -> list[str]:
 
 
 def practicality_curve(
-    tiles: TileCounts,
+    tiles: OutcomeCounts,
     family: str,
     *,
     generator: np.random.Generator,
@@ -132,11 +132,12 @@ def practicality_curve(
     stacks = {
         pm: Group(
             np.stack([counts[shown, 1:] for _, counts in groups[pm]]),
+            sample,
             [[repeat_of(key.camouflage)] for key, _ in groups[pm]],
         )
         for pm in sorted(groups)
     }
-    easr = {pm: mean_interval(group, sample) for pm, group in stacks.items()}
+    easr = {pm: mean_interval(group) for pm, group in stacks.items()}
     replicates = {
         pm: overall_attack_success_rate(sample.replicates(group.counts)).mean(axis=-1)
         for pm, group in stacks.items()
@@ -163,7 +164,7 @@ def practicality_curve(
 
 
 def _magnitudes(
-    tiles: TileCounts, family: str
+    tiles: OutcomeCounts, family: str
 ) -> Mapping[float, list[tuple[Series, Int[np.ndarray, "N 4"]]]]:
     """Gathers by magnitude the counts of every repeat and detector."""
     groups: dict[float, list[tuple[Series, Int[np.ndarray, "N 4"]]]] = {}

@@ -170,7 +170,7 @@ def _agreements(run: Reproduction) -> list[dict[str, Any]]:
 
     def with_renderer(names: Collection[str]) -> Agreement:
         generator = np.random.default_rng(0)
-        return renderer_agreement(run.results.tiles, names, generator=generator)
+        return renderer_agreement(run.results.counts, names, generator=generator)
 
     rows = with_paper(run, "Cycles and the paper’s Blender", ON_BLENDER, run.best, CYCLES)
     for label, names in sets.items():
@@ -277,12 +277,12 @@ def _originals(run: Reproduction) -> list[Block]:
         for renderer in (RENDERER, CYCLES):
             # Any camouflage will do: all are compared with the same original images.
             wanted = (renderer, detector, MAIN_MATCH)
-            key = next((key for key in run.results.tiles.series if key[1:] == wanted), None)
+            key = next((key for key in run.results.counts.series if key[1:] == wanted), None)
             if key is not None:
                 name = str(CamouflageName.read(key.camouflage).pooled)
                 row = run.row(name, detector, renderer=renderer)
                 precision.append(_percent(None if row is None else row.ap_original))
-                vehicles, both, lost, _ = run.results.tiles.series[key].sum(axis=0).tolist()
+                vehicles, both, lost, _ = run.results.counts.series[key].sum(axis=0).tolist()
                 found.append(_percent((both + lost) / vehicles if vehicles else None))
         if len(found) == 2:
             rows.append([detector_name(detector), *precision, *found])

@@ -71,7 +71,7 @@ def looks_part(run: Reproduction) -> Part:
 
 def _classes(run: Reproduction) -> dict[str, bytes]:
     """Bars of how often each kind of vehicle was seen in the test, and of how many vehicles."""
-    tiles = run.results.tiles
+    tiles = run.results.counts
     if not tiles.series:
         return {}
     in_sight = next(iter(tiles.series.values()))[:, 0]

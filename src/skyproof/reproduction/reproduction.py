@@ -79,7 +79,7 @@ class Reproduction:
     @cached_property
     def curves(self) -> dict[str, Curve]:
         """Per attack with a shape ("S-O", "C-Fc-seq") its EASR against practicality."""
-        tiles = self.results.tiles
+        tiles = self.results.counts
         return {
             family: practicality_curve(tiles, family, generator=np.random.default_rng(0))
             # S-O first, as in the paper.

@@ -26,7 +26,7 @@ from skyproof.reproduction.cells import (
 )
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.results.merge import merge_counts
-from skyproof.results.pairs.tiles import Cell, Series, TileCounts
+from skyproof.results.pairs.counts import Cell, OutcomeCounts, Series
 from skyproof.results.repeats import repeat_of
 from skyproof.results.result import MAIN_MATCH, MEAN
 from skyproof.results.results import RENDERER, Results
@@ -139,7 +139,7 @@ class _Beside:
         repeats = self.shared(name, detectors)
         draws = self.shared(name.control, detectors)
         learnt = self._group(repeats, detectors)
-        easr = mean_interval(learnt, self.sample)
+        easr = mean_interval(learnt)
         rates = self._rates(learnt, len(repeats))
         row: dict[str, Any] = {
             "attack": str(name),
@@ -153,7 +153,7 @@ class _Beside:
         if not draws:
             return row | {"random_easr": None, "net_easr": None}
         drawn = self._group(draws, detectors)
-        net = difference_interval([learnt], [drawn], self.sample)
+        net = difference_interval([learnt], [drawn])
         random = self._rates(drawn, len(draws)).mean(axis=1)
         row["random_easr"] = 100 * float(random.mean())
         row |= self._columns("net_easr", net, rates.mean(axis=1) - random)
@@ -174,7 +174,7 @@ class _Beside:
                 for detector in detectors:
                     stack.append(counts[_key(camouflage, detector)])
                     repeats.append([*crossed, Repeat("detectors", str(training), TRAININGS)])
-        return Group(np.stack(stack), repeats)
+        return Group(np.stack(stack), self.sample, repeats)
 
     def _rates(self, group: Group, repeats: int) -> Float[np.ndarray, "K R"]:
         """Gives EASR by training and repeat, mean over the detectors."""
@@ -290,7 +290,7 @@ class Training:
     """
 
     number: int
-    tiles: TileCounts
+    tiles: OutcomeCounts
     detectors: Mapping[str, DetectorCard]
 
 
@@ -301,7 +301,7 @@ def read_trainings(results: Results) -> list[Training]:
         ConfigurationError: two trainings differ in data, recipe or test vehicles, or are the same.
         StoredFileError: a file is damaged.
     """
-    own = Training(0, results.tiles, results.cards)
+    own = Training(0, results.counts, results.cards)
     layout = Layout(results.folder)
     names = [path.name for path in layout.trainings.glob("*") if path.name.isdecimal()]
     trainings = [own]
@@ -372,7 +372,7 @@ def _short(value: Any) -> str:
     return text[:12] if len(text) == 64 else text[:300]
 
 
-def _in_sight(tiles: TileCounts) -> dict[Cell, int]:
+def _in_sight(tiles: OutcomeCounts) -> dict[Cell, int]:
     """How many vehicles stand in each cell, the same for all series."""
     shown: Sequence[Int[np.ndarray, "N 4"]] = list(tiles.series.values())
     counts = np.max([each[:, 0] for each in shown], axis=0).tolist() if shown else []

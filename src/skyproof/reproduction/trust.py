@@ -127,7 +127,7 @@ def _signs(rows: Sequence[Mapping[str, Any]]) -> list[Block]:
 def _ladder_rows(run: Reproduction) -> list[dict[str, Any]]:
     """Gives EASR of one repeat after some of its steps and after all; does it get weaker?"""
     rungs: dict[str, dict[int, str]] = {}
-    for key in run.results.tiles.series:
+    for key in run.results.counts.series:
         if found := _RUNG.fullmatch(key.camouflage):
             rungs.setdefault(f"{found['base']}-{found['repeat']}", {})[int(found["step"])] = (
                 key.camouflage
@@ -237,7 +237,7 @@ def _convergence(rows: Sequence[Mapping[str, Any]]) -> list[Block]:
 def _gap_rows(run: Reproduction) -> list[dict[str, Any]]:
     """Gives EASR and losses of attacks on few colours, before the last rounding and after it."""
     rows = []
-    for key in dict.fromkeys(key.camouflage for key in run.results.tiles.series):
+    for key in dict.fromkeys(key.camouflage for key in run.results.counts.series):
         if "_relaxed-" not in key:
             continue
         name = key.replace("_relaxed-", "-")

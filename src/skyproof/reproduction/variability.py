@@ -160,7 +160,7 @@ def _agreement(run: Reproduction, names: Sequence[str]) -> Interval | None:
         With the 95 % interval over resampled tiles; None where a start was not scored.
     """
     by_detector: dict[str, list[Int[np.ndarray, "N 4"]]] = {}
-    for key, counts in run.results.tiles.series.items():
+    for key, counts in run.results.counts.series.items():
         if key.camouflage in names and (key.renderer, key.match) == (RENDERER, MAIN_MATCH):
             by_detector.setdefault(key.detector, []).append(counts)
     sums = [

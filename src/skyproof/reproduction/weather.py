@@ -119,16 +119,16 @@ def _rows(
 def _cells(parts: Sequence[Sequence[Outcome]]) -> dict[str, Any]:
     """Gives the rates of what was learnt on clear days, in all weathers, and not at all."""
     generator = np.random.default_rng(_SEED)
-    sample, (on_clear_days, in_all, drawn) = shared_groups(parts, generator=generator)
+    on_clear_days, in_all, drawn = shared_groups(parts, generator=generator)
     vehicles = {(outcome.scene, outcome.placement) for outcome in parts[0]}
     found = [outcome.detected_original for outcome in parts[0]]
     rates = {
-        "clear": mean_interval(on_clear_days, sample),
-        "all": mean_interval(in_all, sample),
-        "random": mean_interval(drawn, sample),
-        "net_clear": difference_interval([on_clear_days], [drawn], sample),
-        "net_all": difference_interval([in_all], [drawn], sample),
-        "gain": difference_interval([in_all], [on_clear_days], sample),
+        "clear": mean_interval(on_clear_days),
+        "all": mean_interval(in_all),
+        "random": mean_interval(drawn),
+        "net_clear": difference_interval([on_clear_days], [drawn]),
+        "net_all": difference_interval([in_all], [drawn]),
+        "gain": difference_interval([in_all], [on_clear_days]),
     }
     cells: dict[str, Any] = {"vehicles": len(vehicles), "found_before": 100 * float(np.mean(found))}
     for name, rate in rates.items():

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from skyproof.results.pairs.counts import count_cells
 from skyproof.results.pairs.outcomes import Outcome
-from skyproof.results.pairs.tiles import count_cells
 from skyproof.results.repeats import repeat_of
 from skyproof.results.statistics.contrasts import Group, mean_interval
 from skyproof.results.statistics.intervals import Interval
@@ -109,24 +109,25 @@ def _heading_label(outcome: Outcome) -> str:
 
 
 def _rate(outcomes: Sequence[Outcome], generator: np.random.Generator) -> Interval:
-    sample, (group,) = shared_groups([outcomes], generator=generator)
-    return mean_interval(group, sample)
+    (group,) = shared_groups([outcomes], generator=generator)
+    return mean_interval(group)
 
 
 def shared_groups(
     parts: Sequence[Sequence[Outcome]], *, generator: np.random.Generator
-) -> tuple[Sample, list[Group]]:
-    """Gives the outcomes of several camouflages as groups over the tiles and vehicles of all.
+) -> list[Group]:
+    """Gives the outcomes of several camouflages as groups on one sample of tiles and vehicles.
 
     A group has one series per repeat and detector.
     """
     cells = sorted({(outcome.background, outcome.vehicle) for part in parts for outcome in part})
     row_of = {cell: row for row, cell in enumerate(cells)}
+    sample = Sample.draw(cells, generator=generator)
     groups = []
     for part in parts:
         series: dict[tuple[str, str], list[Outcome]] = {}
         for outcome in part:
             series.setdefault((outcome.camouflage, outcome.detector), []).append(outcome)
         counts = np.stack([count_cells(each, row_of) for each in series.values()])
-        groups.append(Group(counts, [[repeat_of(camouflage)] for camouflage, _ in series]))
-    return Sample.draw(cells, generator=generator), groups
+        groups.append(Group(counts, sample, [[repeat_of(name)] for name, _ in series]))
+    return groups

@@ -10,12 +10,12 @@ import numpy as np
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
+from skyproof.results.pairs.counts import OutcomeCounts, Series, read_counts
 from skyproof.results.pairs.outcomes import ORIGINAL
-from skyproof.results.pairs.tiles import Series, TileCounts, read_tiles
 from skyproof.results.score_folder import ScoreFolder, SetScore
 
 
-def merge_counts(folders: Sequence[Path]) -> tuple[TileCounts, list[SetScore]]:
+def merge_counts(folders: Sequence[Path]) -> tuple[OutcomeCounts, list[SetScore]]:
     """Reads the counts and set scores of several score folders that share scenes and detectors.
 
     What is in more than one folder (the set without camouflage always is) must be the same in all
@@ -27,7 +27,7 @@ def merge_counts(folders: Sequence[Path]) -> tuple[TileCounts, list[SetScore]]:
         StoredFileError: a file is missing or damaged.
     """
     compared = [folder for folder in folders if ScoreFolder.open(folder).record.renderer]
-    read = [(folder, read_tiles(folder / "outcomes.parquet")) for folder in compared]
+    read = [(folder, read_counts(folder / "outcomes.parquet")) for folder in compared]
     cells = sorted({cell for _, tiles in read for cell in tiles.cells})
     place = {cell: index for index, cell in enumerate(cells)}
     series: dict[Series, np.ndarray] = {}
@@ -51,7 +51,7 @@ def merge_counts(folders: Sequence[Path]) -> tuple[TileCounts, list[SetScore]]:
             series.setdefault(key, spread)
             source.setdefault(key, folder)
     _refuse_other_judges(source)
-    return TileCounts(tuple(cells), series), _merge_sets([folder for folder, _ in read])
+    return OutcomeCounts(tuple(cells), series), _merge_sets([folder for folder, _ in read])
 
 
 def _refuse_other_judges(source: Mapping[Series, Path]) -> None:

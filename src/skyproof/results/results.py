@@ -17,10 +17,10 @@ from skyproof.files import inside, write_json
 from skyproof.layout import Layout
 from skyproof.results.baseline import Baseline
 from skyproof.results.merge import merge_counts
+from skyproof.results.pairs.counts import OutcomeCounts, Series
 from skyproof.results.pairs.outcomes import Outcome, read_outcomes
-from skyproof.results.pairs.tiles import Series, TileCounts
 from skyproof.results.repeats import repeat_of
-from skyproof.results.result import LENIENT_MATCH, MAIN_MATCH, MEAN, Headline, Result
+from skyproof.results.result import LENIENT_MATCH, MAIN_MATCH, MEAN, Result
 from skyproof.results.rows_file import flat_row
 from skyproof.results.score_folder import Pair, ScoreFolder
 from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
@@ -70,7 +70,7 @@ class Results:
         folder: of the run.
         scores: its score folders.
         rows: the table of results, renderer by renderer, by every match criterion.
-        tiles: the counts that the rows come from.
+        counts: counted outcomes that the rows come from.
         baselines: of every detector on every set of images without camouflage.
         config, environment: of the run; empty where missing.
         timings: seconds of the run's stages; empty where missing.
@@ -82,7 +82,7 @@ class Results:
     folder: Path
     scores: Sequence[ScoreFolder]
     rows: Sequence[Result]
-    tiles: TileCounts
+    counts: OutcomeCounts
     baselines: Sequence[Baseline]
     config: RunConfig
     environment: Mapping[str, Any]
@@ -102,23 +102,21 @@ class Results:
         folder = Path(run_folder)
         layout = Layout(folder)
         scores = ScoreFolder.all_of(folder)
-        tiles, sets = merge_counts([score.path for score in scores])
+        counts, sets = merge_counts([score.path for score in scores])
         config = read_config(layout.config)
+        seed = scores[0].record.seed if config.seed is None else config.seed
         rows: list[Result] = []
-        for renderer in dict.fromkeys(key.renderer for key in tiles.series):
+        for renderer in dict.fromkeys(key.renderer for key in counts.series):
             # One by one, Holm's correction too: a renderer's numbers stay as they are when another
             # is added.
-            series = {
-                key: counts for key, counts in tiles.series.items() if key.renderer == renderer
-            }
-            seed = scores[0].record.seed if config.seed is None else config.seed
+            series = {key: each for key, each in counts.series.items() if key.renderer == renderer}
             generator = numpy_generator(seed)
-            rows += summarise(TileCounts(tiles.cells, series), sets, generator=generator)
+            rows += summarise(OutcomeCounts(counts.cells, series), sets, generator=generator)
         return cls(
             folder=folder,
             scores=scores,
             rows=rows,
-            tiles=tiles,
+            counts=counts,
             baselines=_merged_baselines(scores),
             config=config,
             environment=read_environment(layout.environment),
@@ -181,7 +179,7 @@ class Results:
     @cached_property
     def sample(self) -> Sample:
         """The tiles and vehicles of the test, for whatever is not in the rows."""
-        return Sample.draw(self.tiles.cells, generator=np.random.default_rng(0))
+        return Sample.draw(self.counts.cells, generator=np.random.default_rng(0))
 
     def row(
         self,
@@ -195,23 +193,33 @@ class Results:
         wanted = detector or (MEAN if len(self.detectors) > 1 else self.detectors[0])
         return self._by_name.get((name, wanted, renderer, match))
 
-    def headlines(self) -> list[Headline]:
-        """Gives one entry per camouflage that is no control and renderer, at the main criterion."""
-        found = []
-        rows = [row for row in self.rows if row.match == MAIN_MATCH and not row.camouflage.random]
-        for name, renderer in dict.fromkeys((row.camouflage, row.renderer) for row in rows):
-            own = [row for row in rows if (row.camouflage, row.renderer) == (name, renderer)]
-            single = [row for row in own if row.detector != MEAN]
-            mean = [row for row in own if row.detector == MEAN]
-            control = {
-                row.detector: random
-                for row in own
-                if (random := self.row(name.control, row.detector, renderer=renderer))
-            }
-            row = (mean or single)[0]
-            lenient = self.row(name, row.detector, renderer=renderer, match=LENIENT_MATCH)
-            found.append(Headline(name, renderer, row, single + mean, control, lenient))
-        return found
+    @cached_property
+    def quoted(self) -> list[Result]:
+        """The result to quote of each optimised camouflage and renderer, by the main rule.
+
+        It is the mean over detectors, or that of the only one.
+        """
+        # Where there are several detectors, their mean comes last.
+        last = {
+            (row.camouflage, row.renderer): row
+            for row in self.rows
+            if row.match == MAIN_MATCH and not row.camouflage.random
+        }
+        return list(last.values())
+
+    def by_detector(self, row: Result) -> list[Result]:
+        """Gives the results of a camouflage like this one, by detector, and their mean last."""
+        like = (row.camouflage, row.renderer, row.match)
+        return [each for each in self.rows if (each.camouflage, each.renderer, each.match) == like]
+
+    def control(self, row: Result) -> Result | None:
+        """Gives the result of a camouflage's random control; None where it was not scored."""
+        return self.row(row.camouflage.control, row.detector, renderer=row.renderer)
+
+    def lenient(self, row: Result) -> Result | None:
+        """Gives the same result by the lenient rule; None where it was not scored."""
+        name, detector = row.camouflage, row.detector
+        return self.row(name, detector, renderer=row.renderer, match=LENIENT_MATCH)
 
     def outcomes(self, name: CamouflageName | None, renderer: str) -> list[Outcome]:
         """Gives the outcomes of every repeat of a camouflage, or of all, at the main criterion.
@@ -221,7 +229,7 @@ class Results:
         """
         wanted = {
             key.camouflage
-            for key in self.tiles.series
+            for key in self.counts.series
             if key.renderer == renderer
             and name in (None, CamouflageName.read(key.camouflage).pooled)
         }
@@ -290,7 +298,7 @@ class Results:
             rates = (before.rate - random_before.rate, after.rate - random_after.rate)
         else:
             rates = (before.rate, after.rate)
-        return Change(*rates, difference_interval(plus, minus, self.sample))
+        return Change(*rates, difference_interval(plus, minus))
 
     def single_easr(self, camouflage: str) -> float | None:
         """Gives EASR of one single repeat, mean over detectors; None where unknown or undefined."""
@@ -305,7 +313,7 @@ class Results:
         group = self._group(camouflage)
         if group is None or math.isnan(group.rate):
             return None
-        return mean_interval(group, self.sample)
+        return mean_interval(group)
 
     def difference(self, later: str, earlier: str) -> Interval | None:
         """Gives EASR of one single repeat minus another's, on the same tiles; None if unknown."""
@@ -313,7 +321,7 @@ class Results:
         before = self._group(earlier)
         if after is None or before is None:
             return None
-        return difference_interval([after], [before], self.sample)
+        return difference_interval([after], [before])
 
     @cached_property
     def _single_rows(self) -> list[Result]:
@@ -338,8 +346,8 @@ class Results:
     ) -> tuple[Group, Group] | tuple[None, None]:
         """Gathers under two renderers every repeat and detector that both have; None if none is."""
         shared = {
-            key: self.tiles.series.get(key._replace(renderer=second))
-            for key in self.tiles.series
+            key: self.counts.series.get(key._replace(renderer=second))
+            for key in self.counts.series
             if (key.renderer, key.match) == (first, MAIN_MATCH)
             and detector in (None, MEAN, key.detector)
             and CamouflageName.read(key.camouflage).pooled in names
@@ -347,18 +355,22 @@ class Results:
         after = {key: counts[:, 1:] for key, counts in shared.items() if counts is not None}
         if not after:
             return None, None
-        before = [self.tiles.series[key][:, 1:] for key in after]
+        before = [self.counts.series[key][:, 1:] for key in after]
         repeats = [[repeat_of(key.camouflage)] for key in after]
         of = [str(CamouflageName.read(key.camouflage).pooled) for key in after]
         now = np.stack(list(after.values()))
-        return Group(np.stack(before), repeats, of), Group(now, repeats, of)
+        return (
+            Group(np.stack(before), self.sample, repeats, of),
+            Group(now, self.sample, repeats, of),
+        )
 
     def _group(self, camouflage: str) -> Group | None:
         keys = [Series(camouflage, RENDERER, detector, MAIN_MATCH) for detector in self.detectors]
-        known = [self.tiles.series[key][:, 1:] for key in keys if key in self.tiles.series]
+        known = [self.counts.series[key][:, 1:] for key in keys if key in self.counts.series]
         if len(known) < len(keys):
             return None
-        return Group(np.stack(known), [[repeat_of(camouflage)]] * len(known))
+        repeats = [[repeat_of(camouflage)]] * len(known)
+        return Group(np.stack(known), self.sample, repeats)
 
 
 def _merged_baselines(scores: Sequence[ScoreFolder]) -> list[Baseline]:

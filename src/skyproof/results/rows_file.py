@@ -28,6 +28,11 @@ def nulls_for_undefined(values: Mapping[str, Any]) -> dict[str, Any]:
     return {name: None if value != value else value for name, value in values.items()}
 
 
+def interval_columns(name: str, interval: Interval) -> dict[str, float]:
+    """Gives the three columns of an interval."""
+    return {name: interval.estimate, f"{name}_low": interval.low, f"{name}_high": interval.high}
+
+
 def write_rows(path: Path, rows: Iterable[object]) -> None:
     """Writes rows, whole or not at all.
 

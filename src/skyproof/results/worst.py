@@ -6,7 +6,6 @@ one hides the vehicles that it does not.
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Iterable, Sequence, Set
 from dataclasses import dataclass
@@ -17,9 +16,9 @@ from jaxtyping import Int
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.results.results import RENDERER, Results
-from skyproof.results.rows_file import nulls_for_undefined
+from skyproof.results.rows_file import interval_columns, nulls_for_undefined
 from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
-from skyproof.results.statistics.intervals import Interval
+from skyproof.results.statistics.intervals import UNDEFINED, Interval
 from skyproof.results.statistics.rates import attack_success_rate
 from skyproof.results.statistics.repeats import DRAWS, Repeat
 
@@ -51,20 +50,15 @@ class WorstCase:
 
     def json(self) -> dict[str, Any]:
         """Gives flat JSON values, as `results.json` holds them; undefined ones are None."""
-        net = self.net or Interval(math.nan, math.nan, math.nan)
         values = {
             "detector": self.detector,
             "renderer": self.renderer,
             "attacks": [str(name) for name in self.attacks],
-            "hidden": self.hidden.estimate,
-            "hidden_low": self.hidden.low,
-            "hidden_high": self.hidden.high,
+            **interval_columns("hidden", self.hidden),
             "strongest": str(self.strongest),
             "strongest_hidden": self.alone,
             "random_hidden": self.random,
-            "net": net.estimate,
-            "net_low": net.low,
-            "net_high": net.high,
+            **interval_columns("net", self.net or UNDEFINED),
         }
         return nulls_for_undefined(values)
 
@@ -78,7 +72,7 @@ def worst_cases(results: Results, renderer: str = RENDERER) -> list[WorstCase]:
         StoredFileError: a table of outcomes is damaged.
     """
     scored = list(
-        dict.fromkeys(key.camouflage for key in results.tiles.series if key.renderer == renderer)
+        dict.fromkeys(key.camouflage for key in results.counts.series if key.renderer == renderer)
     )
     attacks: dict[CamouflageName, str] = {}
     for text in scored:
@@ -121,40 +115,29 @@ def _worst_case(
     attacks: dict[CamouflageName, str],
     sets: Sequence[Sequence[str]],
 ) -> WorstCase | None:
-    own = _group(lost, detector, [list(attacks.values())], [])
+    def group(sets: Iterable[Iterable[str]], repeats: Sequence[Sequence[Repeat]]) -> Group:
+        counts = [lost.counts(detector, names) for names in sets]
+        return Group(np.stack(counts), results.sample, repeats)
+
+    own = group([attacks.values()], [])
     if not own.counts[..., :2].sum():
         return None
+    alone = {name: group([[text]], []) for name, text in attacks.items()}
     each = {
-        name: float(attack_success_rate(lost.counts(detector, [text]).sum(axis=0)))
-        for name, text in attacks.items()
+        name: float(attack_success_rate(one.counts.sum(axis=1))[0]) for name, one in alone.items()
     }
     strongest = max(each, key=lambda name: each[name])
     random = net = None
     if sets:
         # A set of draws, one of each control, is one repeat of several.
         repeats = [[Repeat("worst case", str(number), DRAWS)] for number in range(len(sets))]
-        control = _group(lost, detector, sets, repeats)
+        control = group(sets, repeats)
         random = float(attack_success_rate(control.counts.sum(axis=1)).mean())
-        net = difference_interval([own], [control], results.sample)
+        net = difference_interval([own], [control])
+    hidden = mean_interval(own, rate=attack_success_rate, limits=(0.0, 1.0))
     return WorstCase(
-        detector,
-        renderer,
-        list(attacks),
-        mean_interval(own, results.sample, rate=attack_success_rate, limits=(0.0, 1.0)),
-        strongest,
-        each[strongest],
-        random,
-        net,
+        detector, renderer, list(attacks), hidden, strongest, each[strongest], random, net
     )
-
-
-def _group(
-    lost: _Lost,
-    detector: str,
-    sets: Sequence[Sequence[str]],
-    repeats: Sequence[Sequence[Repeat]],
-) -> Group:
-    return Group(np.stack([lost.counts(detector, names) for names in sets]), repeats)
 
 
 @dataclass(frozen=True)
@@ -173,7 +156,7 @@ class _Lost:
 
     @classmethod
     def of(cls, results: Results, renderer: str) -> _Lost:
-        cells = {cell: number for number, cell in enumerate(results.tiles.cells)}
+        cells = {cell: number for number, cell in enumerate(results.counts.cells)}
         before: dict[str, dict[tuple[str, int], int]] = {}
         lost: dict[tuple[str, str], set[tuple[str, int]]] = {}
         for one in results.outcomes(None, renderer):

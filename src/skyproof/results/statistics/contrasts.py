@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -32,25 +32,24 @@ Rate = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class Group:
-    """Series whose mean rate is wanted.
+    """Counted outcomes whose mean rate is wanted: several series on one sample.
 
     Attributes:
         counts: `[S, N, 3]` (both, lost, gained) per series and cell of the sample.
+        sample: tiles and vehicles of the N cells.
         repeats: what each series is one of several of; empty where they are taken as given.
         of: what the mean is over, each of which is the mean of its own series; empty where it is
             over the series. So a camouflage counts once, however often it was repeated.
     """
 
     counts: Int[np.ndarray, "S N 3"]
+    sample: Sample
     repeats: Sequence[Sequence[Repeat]] = ()
     of: Sequence[str] = ()
-    _known: list[tuple[Sample, _Values]] = field(
-        default_factory=list, init=False, repr=False, compare=False
-    )
 
     @cached_property
     def factors(self) -> Float[np.ndarray, " S"]:
-        """What each series counts in the mean."""
+        """Weight of each series in the mean."""
         of = self.of or range(len(self.counts))
         series = Counter(of)
         return np.array([1 / (len(series) * series[each]) for each in of])
@@ -60,19 +59,17 @@ class Group:
         """The mean EASR."""
         return float(overall_attack_success_rate(self.counts.sum(axis=1)) @ self.factors)
 
-    def easr(self, sample: Sample) -> _Values:
-        """Gives every series' EASR on a sample, worked out once: it stands in many contrasts."""
-        for own, values in self._known:
-            if own is sample:
-                return values
-        values = _Values.of(self.counts, sample, overall_attack_success_rate)
-        self._known.append((sample, values))
-        return values
+    @cached_property
+    def _easr(self) -> _Values:
+        return _Values.of(self, overall_attack_success_rate)
+
+    def values(self, rate: Rate = overall_attack_success_rate) -> _Values:
+        """Gives a rate of every series; that of EASR is kept, as it stands in many contrasts."""
+        return self._easr if rate is overall_attack_success_rate else _Values.of(self, rate)
 
 
 def mean_interval(
     group: Group,
-    sample: Sample,
     *,
     rate: Rate = overall_attack_success_rate,
     limits: tuple[float, float] = (-math.inf, 1.0),
@@ -84,33 +81,27 @@ def mean_interval(
 
     Args:
         group: the series.
-        sample: what their counts are crossed by.
         rate: takes summed counts `[..., S, 3]`, gives `[..., S]`; nan where undefined.
-        limits: the values that the rate can take.
+        limits: smallest and largest value of the rate.
     """
-    shared = rate is overall_attack_success_rate
-    values = group.easr(sample) if shared else _Values.of(group.counts, sample, rate)
+    values = group.values(rate)
     mean = values.mean(group.factors, limits)
     return _with_repeats(mean, values.points, group.factors, group.repeats, limits)
 
 
-def difference_interval(plus: Sequence[Group], minus: Sequence[Group], sample: Sample) -> Interval:
+def difference_interval(plus: Sequence[Group], minus: Sequence[Group]) -> Interval:
     """Gives the sum of some groups' mean EASRs minus that of others, paired by tile and vehicle.
 
-    Series of the same repeat in several groups are paired by it, too.
+    All groups are on one sample. Series of the same repeat in several groups are paired by it, too.
 
     Either limit is the farther of two: BCa's of the difference, and the one that the groups' own
     limits make by the square-and-add rule with their correlation over resampled tiles (MOVER; Zou
     and Donner 2008), which is how the exact limits of rates near 0 and 1 enter. Resampling sees no
     spread in a series where every tile agrees, such as an attack that hides every vehicle: its
     group counts as correlated with none.
-
-    Args:
-        plus, minus: groups of series, each with its mean EASR.
-        sample: what their counts are crossed by.
     """
     groups = [*plus, *minus]
-    each = [group.easr(sample) for group in groups]
+    each = [group.values() for group in groups]
     factors = np.concatenate(
         [*(group.factors for group in plus), *(-group.factors for group in minus)]
     )
@@ -147,7 +138,8 @@ class _Values:
     """On how many tiles, or vehicles where these are fewer, each series is defined."""
 
     @classmethod
-    def of(cls, counts: Int[np.ndarray, "S N 3"], sample: Sample, rate: Rate) -> _Values:
+    def of(cls, group: Group, rate: Rate) -> _Values:
+        counts, sample = group.counts, group.sample
         tiles, vehicles = sample.by_tile(counts), sample.by_vehicle(counts)
         total = tiles.sum(axis=1)
 

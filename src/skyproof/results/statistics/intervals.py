@@ -50,6 +50,9 @@ class Interval:
     errors: dict[str, float] = field(default_factory=dict)
 
 
+UNDEFINED = Interval(math.nan, math.nan, math.nan)
+
+
 @dataclass(frozen=True)
 class LeftOut:
     """A statistic's values when what is crossed with the clusters is left out, one at a time.

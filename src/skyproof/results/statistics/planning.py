@@ -16,7 +16,7 @@ from msgspec import Meta
 from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import Fraction, check_ranges
-from skyproof.results.pairs.tiles import TileCounts
+from skyproof.results.pairs.counts import OutcomeCounts
 from skyproof.results.repeats import repeat_of
 from skyproof.results.statistics.intervals import effective_limits, unanimous_margin
 from skyproof.results.statistics.rates import overall_attack_success_rate
@@ -209,7 +209,7 @@ def _repeat_margins(assumptions: Assumptions) -> dict[str, float]:
     return {name: margin for name, margin in margins.items() if margin}
 
 
-def assume_from_pilot(tiles: TileCounts, *, match: str = "centre_1m") -> tuple[Assumptions, str]:
+def assume_from_pilot(tiles: OutcomeCounts, *, match: str = "centre_1m") -> tuple[Assumptions, str]:
     """Takes assumptions from a pilot evaluation: its least certain learnt camouflage and detector.
 
     Rates, vehicles a tile and the share found before are that series' own. The design effect and
@@ -291,7 +291,7 @@ def _clustered(influence: Float[np.ndarray, " G"]) -> float:
     return count / (count - 1) * float(np.sum(influence**2)) if count > 1 else 0.0
 
 
-def _spread(tiles: TileCounts, kind: Kind, match: str, unknown: float) -> float:
+def _spread(tiles: OutcomeCounts, kind: Kind, match: str, unknown: float) -> float:
     """Gives the root of the mean variance of repeats; `unknown` where nothing has repeats."""
     rates: dict[tuple[str, str, str], list[float]] = {}
     for key, counts in tiles.series.items():

@@ -5,6 +5,7 @@ They are all that success rates and their intervals need of any number of vehicl
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +16,7 @@ import pyarrow as pa
 from jaxtyping import Int
 
 from skyproof.errors import StoredFileError
-from skyproof.results.pairs.outcomes import Outcome, outcome_table, read_outcome_table
+from skyproof.results.pairs.outcomes import Outcome, read_outcome_table
 from skyproof.results.statistics.rates import column_of_pair
 
 Cell = tuple[str, str]
@@ -41,8 +42,8 @@ _MOST_COUNTS = 30_000_000
 
 
 @dataclass(frozen=True)
-class TileCounts:
-    """Vehicles per series, background tile and vehicle of the fleet.
+class OutcomeCounts:
+    """Outcomes counted per series, background tile and vehicle of the fleet.
 
     Attributes:
         cells: the N pairs of tile and vehicle, in order.
@@ -54,33 +55,38 @@ class TileCounts:
     cells: tuple[Cell, ...]
     series: Mapping[Series, Int[np.ndarray, "N 4"]]
 
+    def of(self, renderer: str, match: str) -> OutcomeCounts:
+        """Gives the series of one renderer and match rule, on the cells that they show."""
+        series = {
+            key: counts
+            for key, counts in self.series.items()
+            if (key.renderer, key.match) == (renderer, match)
+        }
+        shown = np.any([counts[:, 0] > 0 for counts in series.values()], axis=0)
+        return OutcomeCounts(
+            tuple(itertools.compress(self.cells, shown)),
+            {key: counts[shown] for key, counts in series.items()},
+        )
 
-def count_tiles(outcomes: Iterable[Outcome]) -> TileCounts:
-    """Counts outcomes per series, tile and vehicle; series keep the order of their first outcome.
 
-    The vehicles of one fleet are told apart by their names.
-    """
-    return _counted(outcome_table(outcomes), "These outcomes")
+def read_counts(path: Path) -> OutcomeCounts:
+    """Counts the outcomes of a file that `write_outcomes` wrote.
 
-
-def read_tiles(path: Path) -> TileCounts:
-    """Counts the outcomes of a file that `write_outcomes` wrote, as `count_tiles` does.
+    Series keep the order of their first outcome. The vehicles of one fleet are told apart by their
+    names.
 
     Raises:
         StoredFileError: the file is missing, not Parquet, has other columns, values that cannot
             be, or more of them than are read.
     """
-    return _counted(read_outcome_table(path, [*Series._fields, *_CELL, *_FOUND]), str(path))
-
-
-def _counted(table: pa.Table, what: str) -> TileCounts:
+    table = read_outcome_table(path, [*Series._fields, *_CELL, *_FOUND])
     keys, first, series = _numbered(table, Series._fields)
     found, _, place = _numbered(table, _CELL)
     pairs = [(tile, vehicle) for tile, vehicle in found]
     cells = sorted(pairs)
     if len(cells) > _MOST_CELLS or len(cells) * len(keys) > _MOST_COUNTS:
         raise StoredFileError(
-            f"{what} hold {len(keys):,} series of {len(cells):,} vehicles on tiles, more than "
+            f"{path} holds {len(keys):,} series of {len(cells):,} vehicles on tiles, more than "
             f"the {_MOST_COUNTS:,} counts of {_MOST_CELLS:,} that are read; score fewer at once."
         )
     row_of = {cell: row for row, cell in enumerate(cells)}
@@ -94,7 +100,7 @@ def _counted(table: pa.Table, what: str) -> TileCounts:
     ]
     dense = np.stack(counts, axis=-1).astype(np.int64)
     named = {Series(*keys[row]): dense[row] for row in np.argsort(first)}
-    return TileCounts(tuple(cells), named)
+    return OutcomeCounts(tuple(cells), named)
 
 
 def _numbered(
