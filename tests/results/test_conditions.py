@@ -12,7 +12,7 @@ from skyproof.results.pairs.outcomes import Outcome
 def outcomes(conditions):
     """One vehicle per condition and tile, found before; those in haze are lost."""
     blank = {
-        name: {str: "", int: 0, bool: True, float: 30.0}[kind]
+        name: {str: "x", int: 0, bool: True, float: 30.0}[kind]
         for name, kind in get_type_hints(Outcome).items()
     }
     return [

@@ -14,7 +14,7 @@ from tests.results.counted import count_outcomes
 def pair_counts(original, adversarial):
     """Counts vehicles by (both, lost, gained), on one tile."""
     blank = {
-        name: {str: "", int: 0, bool: False, float: 0.0}[kind]
+        name: {str: "x", int: 0, bool: False, float: 0.0}[kind]
         for name, kind in get_type_hints(Outcome).items()
     }
     pairs = zip(original.tolist(), adversarial.tolist(), strict=True)

@@ -41,7 +41,7 @@ def summarise(tiles, sets, *, generator):
 def outcomes(camouflage, detector, detected, match="centre_1m"):
     """Vehicles as (original, adversarial), two on each tile."""
     blank = {
-        name: {str: "", int: 0, bool: False, float: 0.0}[kind]
+        name: {str: "x", int: 0, bool: False, float: 0.0}[kind]
         for name, kind in get_type_hints(Outcome).items()
     }
     return [

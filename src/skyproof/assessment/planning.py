@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 
 from skyproof.assessment.preparing import tiling_of
 from skyproof.assessment.run import Step, duration
 from skyproof.assessment.subject import Subject
-from skyproof.errors import ConfigurationError
 from skyproof.imagery.settings import SourceSettings
 from skyproof.imagery.tiles.grid import cells_of, lay_grids
 from skyproof.imagery.tiles.sources import (
@@ -23,8 +21,8 @@ from skyproof.results.statistics.compliance import tiles_to_decide
 from skyproof.results.statistics.planning import (
     Assumptions,
     expected_half_width,
+    tiles_needed,
     tiles_to_show,
-    vehicles_needed,
 )
 from skyproof.words import percent
 
@@ -52,10 +50,9 @@ def plan_words(its: Subject, steps: Sequence[Step]) -> Iterator[str]:
         f"{'at most ' if its.request.imagery else ''}{tiles} test tiles. The 95 % interval of an "
         f"EASR of {percent(_EASR)} would be about ±{100 * width:.0f} percentage points."
     )
-    # Of too few different vehicles no number of tiles makes it so narrow.
-    with suppress(ConfigurationError):
-        need = vehicles_needed(_HALF_WIDTH, assumptions)
-        yield f"For ±{100 * _HALF_WIDTH:.0f} points it takes about {need.tiles:,} such tiles."
+    needed = tiles_needed(_HALF_WIDTH, assumptions)
+    if needed is not None:
+        yield f"For ±{100 * _HALF_WIDTH:.0f} points it takes about {needed:,} such tiles."
     requirement = its.request.requirement
     if requirement is not None:
         fewest = fewest_tiles(requirement.reject, requirement.consumer_risk)

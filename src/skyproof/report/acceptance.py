@@ -276,7 +276,7 @@ def _asked(requirement: Requirement) -> str:
 
 def _figure(results: Results, requirement: Requirement) -> Markup | None:
     try:
-        assumptions, _ = assume_from_pilot(results.counts)
+        assumptions = assume_from_pilot(results.counts)
     except ConfigurationError:
         return None
     tiles = len({tile for tile, _ in results.counts.cells})

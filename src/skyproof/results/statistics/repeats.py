@@ -138,19 +138,6 @@ def spread_of_repeats(
     )
 
 
-def expected_margin(kind: Kind, count: int, sd: float) -> float:
-    """Expects the half-width that so many repeats make; 0 of a single one.
-
-    Args:
-        kind: what sort they are.
-        count: how many.
-        sd: the standard deviation that they have.
-    """
-    if count < 2:
-        return 0.0
-    return math.sqrt(_variance(kind.usual_sd, count, (count - 1) * sd**2)) * _quantile(count)
-
-
 def _variance(usual_sd: float, count: int, squares: float) -> float:
     """Gives the variance of the mean, from the summed squares about it."""
     return (usual_sd**2 + squares) / count**2
