@@ -19,7 +19,14 @@ def pair_counts(original, adversarial):
     }
     pairs = zip(original.tolist(), adversarial.tolist(), strict=True)
     outcomes = [
-        Outcome(**{**blank, "detected_original": before, "detected_adversarial": after})
+        Outcome(
+            **{
+                **blank,
+                "match": "iou_50",
+                "detected_original": before,
+                "detected_adversarial": after,
+            }
+        )
         for before, after in pairs
     ]
     (counts,) = count_outcomes(outcomes).series.values()
