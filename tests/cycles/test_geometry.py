@@ -117,9 +117,7 @@ def silhouettes(drawn):
     scenes, vehicles, placed, crops, results = drawn
     light = lighting(placed, scene_lights([Light()] * SCENES, scenes, placed.vertices))
     window = windows_around(placed.screen)
-    seen = see_bodies(
-        window, placed.screen, placed.depth, placed.vertices, vehicles, None, SETTINGS
-    )
+    seen = see_bodies(window, placed, vehicles, None, SETTINGS)
     layers = draw_bodies(seen, light, vehicles, SETTINGS)
     theirs = [onto_crop(*each) for each in zip(layers[:, 3], window.origin, crops, strict=True)]
     return [(result[..., 3] > 0.5, other) for result, other in zip(results, theirs, strict=True)]

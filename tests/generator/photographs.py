@@ -81,7 +81,7 @@ def take_photographs(folder: Path, count: int) -> Photographs:
         plain = replace(tile, drivable=None, shade=None, cover=None)
         taken.append(plain)
         removed = tuple(
-            _told(placement, fleet.size_m(placement.vehicle), ground.gsd_m, generator)
+            _told(placement, fleet.sizes_m[placement.vehicle], ground.gsd_m, generator)
             for placement in placements
         )
         light = replace(tile.light or ground.light, sun=SUN)

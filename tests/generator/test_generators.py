@@ -83,7 +83,7 @@ def test_layered_vehicles_lie_among_the_fitted_ones(
             if kind == name
         ]
         for vehicle in (each for each in fleet.ids if each.startswith(f"{name}-")):
-            length_m, _, _ = fleet.size_m(vehicle)
+            length_m, _, _ = fleet.sizes_m[vehicle]
             assert min(lengths) - 0.15 < length_m < max(lengths) + 0.15
     # White, red or black, as those that it learnt from.
     known = srgb_to_cielab(fitted.paint)

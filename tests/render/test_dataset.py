@@ -219,7 +219,7 @@ def test_the_ground_a_vehicle_stands_on(tmp_path, fleet):
     rows = json.loads((tmp_path / "set" / "annotations.json").read_text())["annotations"]
     placements = [place for each in some_scenes(fleet) for place in each.placements]
     for row, placement in zip(rows, placements, strict=True):
-        length, width, _ = fleet.size_m(placement.vehicle)
+        length, width, _ = fleet.sizes_m[placement.vehicle]
         forward = np.array([np.cos(placement.heading_rad), -np.sin(placement.heading_rad)])
         left = np.array([-np.sin(placement.heading_rad), -np.cos(placement.heading_rad)])
         # 96 px of 12.5 cm; rows run down, the world's y up. Bodies are centred to within some

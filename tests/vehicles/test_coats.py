@@ -148,7 +148,7 @@ def test_shapes_are_pushed_out_whatever_the_coat_each_by_its_own_map() -> None:
         if name not in shaped:
             assert not moved.any()
             continue
-        width_m = fleet.size_m(name)[1]
+        width_m = fleet.sizes_m[name][1]
         farthest.append(float(moved.max()) / width_m)
         # As in R-S-O some vertices stay nearly where they are.
         assert float(moved.median()) < 0.8 * float(moved.max())

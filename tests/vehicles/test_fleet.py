@@ -59,7 +59,7 @@ def test_batch_repeats_and_orders() -> None:
 
 def test_size() -> None:
     fleet = _fleet()
-    length, width, height = fleet.size_m(fleet.ids[1])
+    length, width, height = fleet.sizes_m[fleet.ids[1]]
     x, y, z = fleet.vertices[1].unbind(1)
     assert (length, width, height) == pytest.approx(
         (float(x.max() - x.min()), 2 * float(y.max()), float(z.max()))

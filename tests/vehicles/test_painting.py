@@ -9,7 +9,7 @@ from skyproof.vehicles.bodies import BODY_RANGES
 from skyproof.vehicles.fleet import Fleet, FleetSettings, sample_fleet
 from skyproof.vehicles.paints import PAINT_SHARES, sample_paint
 from skyproof.vehicles.template import column_u, row_v
-from skyproof.vehicles.texels import texel_sizes
+from skyproof.vehicles.texels import texel_metric, texel_regions
 from skyproof.vehicles.vehicle import Part
 
 TYPES = sorted(BODY_RANGES)
@@ -117,11 +117,12 @@ def test_glass_is_darker_than_white_paint_and_wheels_are_low() -> None:
 
 def test_texel_sizes_of_a_saloon() -> None:
     fleet = _fleet("saloon")
-    sizes = texel_sizes(fleet.batch(fleet.ids))
-    for axis in ("u", "v"):
-        assert 0.8 <= sizes[f"roof_{axis}_cm"] <= 1.3
-        assert 0.7 <= sizes[f"bonnet_{axis}_cm"] <= 1.6
-        assert 0.7 <= sizes[f"sides_{axis}_cm"] <= 1.6
+    vehicles = fleet.batch(fleet.ids)
+    regions = texel_regions(vehicles)
+    for length_m in texel_metric(vehicles)[:2]:
+        assert 0.008 <= length_m[regions["roof"]].median() <= 0.013
+        assert 0.007 <= length_m[regions["bonnet"]].median() <= 0.016
+        assert 0.007 <= length_m[regions["sides"]].median() <= 0.016
 
 
 def test_paint_follows_the_published_shares() -> None:

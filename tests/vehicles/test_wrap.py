@@ -23,7 +23,7 @@ from skyproof.render.materials import material_labels
 from skyproof.render.portrait import close_up
 from skyproof.vehicles.fleet import Fleet, FleetSettings, mix_fleets, sample_fleet
 from skyproof.vehicles.template import make_template
-from skyproof.vehicles.texels import texel_regions, texel_sizes
+from skyproof.vehicles.texels import texel_metric, texel_regions
 from skyproof.vehicles.vehicle import Part
 from skyproof.vehicles.wrapping.wrap import WrappedVehicle, wrap_mesh
 from tests.vehicles.model_car import (
@@ -205,7 +205,7 @@ def test_every_camouflage_applies_to_it() -> None:
             assert torch.equal(worn.vertices[0, 96:896:32], vehicles.vertices[0, 96:896:32])
     regions = texel_regions(vehicles)
     assert all(regions[name].any() for name in ("roof", "bonnet", "sides", "glass", "underside"))
-    assert 0.5 < texel_sizes(vehicles)["roof_u_cm"] < 2.0
+    assert 0.005 < texel_metric(vehicles)[0][regions["roof"]].median() < 0.02
 
 
 def test_fleets_mix_and_come_back(tmp_path: Path) -> None:

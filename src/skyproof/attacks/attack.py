@@ -1,7 +1,5 @@
 """The attack: random scenes, a camouflage, an ensemble of frozen detectors (section 3.2)."""
 
-from __future__ import annotations
-
 import copy
 import math
 import statistics

@@ -4,8 +4,6 @@ A query attack cannot try 800,000 texels one by one, but it can search a dozen n
 optimised camouflage they keep the detail and change the whole.
 """
 
-from __future__ import annotations
-
 import copy
 import math
 

@@ -1,7 +1,5 @@
 """Scenes that no step of an attack sees, and how many of their vehicles a camouflage hides."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import cached_property
 from typing import Any, NamedTuple

@@ -3,8 +3,6 @@
 Finished ones are kept, unless they were made with other detectors, scenes or colours.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path

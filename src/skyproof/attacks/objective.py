@@ -1,7 +1,5 @@
 """The objective of an attack: the detectors' own losses against an empty truth."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import NamedTuple

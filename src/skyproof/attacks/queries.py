@@ -6,8 +6,6 @@ colours take random changes, and keep those that help. The control of either is 
 a random draw.
 """
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict

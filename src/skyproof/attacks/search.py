@@ -3,8 +3,6 @@
 An optimised camouflage counts for what it hides beyond these, which a sceptic would try first.
 """
 
-from __future__ import annotations
-
 import copy
 import math
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """The sign test of an attack's gradient: a step must lower the target's scores."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """What a camouflage asks of those who would make it: the paper's signs, and measured quantities."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from statistics import fmean
 from typing import Any
@@ -20,17 +18,13 @@ from skyproof.vehicles.vehicle import TEXTURE_SIZE, VehicleBatch
 
 @torch.no_grad()
 def practicality_account(camouflage: Camouflage, vehicles: VehicleBatch) -> dict[str, Any]:
-    """Signs (section 4) and measured quantities, means over the vehicles.
-
-    Args:
-        camouflage: finished.
-        vehicles: as built.
+    """Signs (section 4) and measured quantities of a finished camouflage, means over the vehicles.
 
     Returns:
-        "name"; "score" with the three signs of texture and shape and their "total"; "texture" and
-        "shape" with means as `mean_measures` and `ShapeMeasures` name them, None for a side left
-        alone. Of the shape, "share_self_intersecting" is the share of vehicles with more
-        self-intersections than as built.
+        "name"; "score" with three signs each of texture and shape and their "total"; "texture" and
+        "shape" with the means of `mean_measures` and `ShapeMeasures`, None for an unchanged side.
+        The shape's "share_self_intersecting" is the share of vehicles with more intersections than
+        as built.
     """
     texture, shape = _parts(camouflage)
     changed = shape is not None and shape.magnitude > 0

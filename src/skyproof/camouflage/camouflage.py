@@ -1,7 +1,5 @@
 """What a camouflage is: a change of vehicles that can be learnt, finished and stored."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 
@@ -13,11 +11,11 @@ from skyproof.vehicles.vehicle import VehicleBatch
 
 
 class Camouflage(nn.Module):
-    """Changes vehicles' texture or shape; its parameters, if any, are what an attack optimises.
+    """Changes vehicles' texture or shape; an attack optimises its parameters.
 
     Attributes:
         name: "T-U", "R-U-0": as tables show it.
-        learning_rates: multiples of the attack's learning rate by parameter name, where not 1.
+        learning_rates: multiples of the attack's learning rate by parameter name.
     """
 
     name: CamouflageName
@@ -28,39 +26,22 @@ class Camouflage(nn.Module):
         raise NotImplementedError
 
     def before_step_(self, step: int, steps: int) -> None:
-        """Sets what depends on an attack's progress, such as a temperature.
-
-        Called before each step, from 1 to `steps`.
-        """
+        """Sets what depends on the attack's progress, such as a temperature, before each step."""
 
     def project_(self) -> None:
         """Puts the parameters back into what is allowed; called after every optimiser step."""
 
     def vary_(self, generator: torch.Generator) -> None:
-        """Changes a part at random, by what a random search tries next; finished ones alone.
-
-        Args:
-            generator: on the CPU.
-        """
+        """Changes a part of a finished camouflage at random, for a random search."""
         raise NotImplementedError
 
     def finalise(self) -> None:
-        """Makes the camouflage exactly what is stored and shown, such as colours of 8 bits.
-
-        Called once at the end.
-        """
+        """Makes the camouflage exactly as it is stored, such as colours of 8 bits, at the end."""
 
 
 def random_part(size: int, *, generator: torch.Generator) -> tuple[slice, slice]:
-    """Draws a rectangle of a square map: from a thirty-second of a side to all of it, each octave
-    of width and of height equally often.
-
-    Args:
-        size: of a side, in cells.
-        generator: on the CPU.
-
-    Returns:
-        Its rows and its columns.
+    """Draws rows and columns of a square map, each octave of length from size / 32 on equally
+    often.
     """
     parts = []
     for octave, place in torch.rand(2, 2, generator=generator).tolist():

@@ -1,7 +1,5 @@
 """Texture and shape together, one after the other or in turns (section 3.5)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import torch
@@ -18,19 +16,11 @@ class Combination(Camouflage):
     """A texture and a displacement map on the same vehicles.
 
     Differences from the paper: masked textures may be combined too, because texture, part map and
-    displacement share one UV map, which a displacement leaves as it is.
+    displacement share one UV map.
 
     Attributes:
-        texture, shape: its two parts.
         turn_steps: steps after which a parallel attack changes sides (the paper's n_pll). None is
-            sequential: the texture stays as it is and the shape alone is learnt.
-
-    Args:
-        name: "C-Fc-par@0.2".
-        texture, shape, turn_steps: as the attributes.
-
-    Raises:
-        ConfigurationError: turns of less than one step.
+            sequential: the texture stays and the attack optimises the shape alone.
     """
 
     def __init__(

@@ -18,8 +18,7 @@ class TextureConstraints:
 
     Attributes:
         pixelised: Pix, one colour per square block of texels.
-        colours: "free"; "learnt" (Lc), a few colours that the attack chooses; "fixed" (Fc), a few
-            given colours.
+        colours: "free"; "learnt" (Lc), a few colours that the attack chooses; "fixed" (Fc).
         masked: Ma, only painted body panels are changed.
     """
 

@@ -1,7 +1,5 @@
 """The controls beside an attack: camouflages under its constraints that no gradient optimised."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 

@@ -1,9 +1,4 @@
-"""One universal displacement map that pushes every vehicle's surface outward.
-
-It is called S-O when it is learnt and R-S-O as drawn.
-"""
-
-from __future__ import annotations
+"""One universal displacement map that pushes every vehicle's surface outward: S-O and R-S-O."""
 
 from dataclasses import replace
 
@@ -24,25 +19,20 @@ _START = 0.5  # half-way out, as sigmoid(0) is (section S4.3: "initialised with 
 class DisplacementMap(Camouflage):
     """Moves every vertex away from the middle of its vehicle, further where the map is bright.
 
-    Vertex i moves by PM * W * D_i * R_i / |R_i|: D_i in [0, 1] is the map read at the vertex' UV,
-    R_i the vector from the mean of the vehicle's vertices to the vertex, W the vehicle's width
-    (section S4.3). The map is made symmetric first, so mirrored vertices move alike.
+    Vertex i moves by PM * W * D_i * R_i / |R_i|: D_i in [0, 1] is the symmetric map at the vertex'
+    UV, R_i the vector from the mean of the vertices, W the vehicle's width (section S4.3).
 
-    Differences from the paper: it has sigmoid of D_i * R_i, a vector that would push every vertex
-    towards one corner. D itself is held in [0, 1], because what reaches the flat ends of a sigmoid
-    hardly leaves them again, and it starts half-way. Wheels and underside stay where they are, and
-    no vertex is pushed below the ground: there its way ends, in the same direction. So a deformed
-    vehicle can still roll.
+    Differences from the paper: its sigmoid of D_i * R_i, a vector, would push every vertex towards
+    one corner. D itself is clipped to [0, 1], because values at the flat ends of a sigmoid hardly
+    move, and starts half-way. Wheels and underside stay, and no vertex is pushed below the ground,
+    so that a deformed vehicle can roll.
 
-    Vertices only slide along their rays from the middle, so a body whose every point can be seen
-    from there never runs through itself. The bed of a pickup cannot be seen, and does (see
-    `measure_shape`).
+    Vertices slide along their rays from the middle, so a body that is visible from there never
+    crosses itself. A pickup's bed is not, and does (see `measure_shape`).
 
     Attributes:
         magnitude: PM, the largest displacement as a fraction of the width; the name says it.
-        frozen_parts: whether wheels and underside stay.
-        reach: `[64, 64]` D before it is made symmetric; rows from nose to tail, columns as in
-            `Template.uvs`.
+        reach: `[64, 64]` D before symmetry; rows from nose to tail, columns as in `Template.uvs`.
     """
 
     def __init__(
@@ -55,14 +45,9 @@ class DisplacementMap(Camouflage):
         """Starts half-way out everywhere, or as the random control.
 
         Args:
-            name: of a shape or a combination, such as "S-O@0.4"; at PM = 0 every vehicle keeps its
-                vertices bit for bit.
-            generator: if given, D is drawn uniformly from [0, 1] for every texel and its mirror
-                image.
+            name: name with a magnitude, such as "S-O@0.4"; PM = 0 keeps every vertex bit for bit.
+            generator: draws D uniformly, and its mirror image, for a random control.
             frozen_parts: whether wheels and underside stay as they are.
-
-        Raises:
-            ConfigurationError: a name without a magnitude.
         """
         super().__init__()
         if name.magnitude is None:
@@ -125,11 +110,7 @@ class DisplacementMap(Camouflage):
 
 
 def even_shape(name: CamouflageName) -> DisplacementMap:
-    """Returns the shape that asks for no learning: every vertex out as far as it may.
-
-    Args:
-        name: of a shape or a combination; it says how far that is.
-    """
+    """The plain-paint control of a shape: every vertex out as far as the name allows."""
     shape = DisplacementMap(name)
     with torch.no_grad():
         shape.reach.fill_(1.0)
@@ -138,10 +119,7 @@ def even_shape(name: CamouflageName) -> DisplacementMap:
 
 
 def sample_map(values: Float[Tensor, "64 64"], uvs: Float[Tensor, "V 2"]) -> Float[Tensor, " V"]:
-    """Reads a map bilinearly between its texel centres (i + 0.5) / 64.
-
-    Circular in u, replicated in v (section S4.3).
-    """
+    """Reads a map bilinearly between texel centres (i + 0.5) / 64, circular in u (section S4.3)."""
     column = uvs[:, 0] * DISPLACEMENT_SIZE - 0.5
     row = (uvs[:, 1] * DISPLACEMENT_SIZE - 0.5).clamp(0.0, DISPLACEMENT_SIZE - 1.0)
     left = column.floor()
@@ -157,10 +135,7 @@ def sample_map(values: Float[Tensor, "64 64"], uvs: Float[Tensor, "V 2"]) -> Flo
 
 
 def _frozen(vehicles: VehicleBatch) -> Bool[Tensor, "N V"]:
-    """Which vertices lie on, or at the edge of, wheel or underside.
-
-    A vertex and its mirror image always go together.
-    """
+    """Vertices on or at the edge of wheel or underside, always with their mirror images."""
     template: Template = vehicles.template
     size = vehicles.parts.shape[-1]
     column, row = (template.vertex_uvs * size).long().clamp(max=size - 1).unbind(1)

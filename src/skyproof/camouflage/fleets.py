@@ -29,12 +29,8 @@ def draw_fleets(
     """Writes the four fleets train, validation, attack and test; all of them or nothing.
 
     Args:
-        out: folder to write.
-        counts: vehicles of each.
-        settings: number of the first vehicle, and paints and shapes of train and validation.
-            Vehicles of attack and test have catalogue paints and their own shapes.
-        seed: decides all that is drawn.
-        sample: draws a fleet, as `sample_fleet` does.
+        settings: first number, and paints and shapes of train and validation; attack and test have
+            catalogue paints and their own shapes.
     """
     from skyproof.camouflage.random_controls import wear_random_controls
     from skyproof.randomness import generator_of

@@ -1,7 +1,5 @@
 """A camouflage as a folder: `camouflage.json`, `camouflage.safetensors`, and its maps as PNGs."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -33,12 +31,7 @@ def save_camouflage(
     """Writes the folder; `camouflage.json` comes last, so a folder that has it is whole.
 
     Args:
-        folder: made if missing.
-        camouflage: a texture, a shape or both, finalised.
-        record: anything that says where it comes from; kept under "record".
-
-    Raises:
-        RunFolderError: the disk is full or not writable.
+        record: JSON values that say where it comes from.
     """
     folder = Path(folder)
     write_tensors(folder / "camouflage.safetensors", camouflage.state_dict())
@@ -54,7 +47,7 @@ def save_camouflage(
 
 
 def load_camouflage(folder: str | Path) -> Camouflage:
-    """Reads what `save_camouflage` wrote; the camouflage is on the CPU and no longer learnt.
+    """Reads the folder of `save_camouflage`; the camouflage is on the CPU and finished.
 
     Raises:
         StoredFileError: a file is missing, damaged or of another version.

@@ -1,7 +1,5 @@
 """Camouflages from their names: "T-PixFcMa", "S-O@0.4", "C-Fc-par@0.2", "R-PixFcMa"."""
 
-from __future__ import annotations
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -25,20 +23,19 @@ def make_camouflage(
     texture: Camouflage | None = None,
     settings: CamouflageSettings | None = None,
 ) -> Camouflage:
-    """Makes any camouflage from its name: at the start of its attack, or finished if it is random.
+    """Makes a camouflage from its name: at the start of its attack, or finished if it is random.
 
     Args:
-        name: such as "T-PixFcMa", "S-O@0.4", "C-Fc-seq@0.2" or "R-PixFc"; a variant and a repeat
-            at its end change nothing.
-        generator: on the CPU; textures, and the shapes of random controls, are drawn from it.
-        palette: `[K, 3]` sRGB in [0, 1]; fixed colours (Fc) expect one, and colours that are learnt
-            for a palette or for blocks begin there, where it is given.
-        texture: a finished texture, or a combination that has one; a sequential combination expects
-            it to put its shape on, and so does a random shape on an attack's own texture.
-        settings: what the name leaves open; the defaults where not given.
+        name: such as "T-PixFcMa", "S-O@0.4", "C-Fc-seq@0.2" or "R-PixFc", whatever its variant and
+            repeat.
+        generator: on the CPU.
+        palette: `[K, 3]` sRGB in [0, 1], for fixed colours (Fc) and as the start of optimised ones.
+        texture: finished texture, or a combination with one, under the shape of a sequential
+            combination or of a random shape on an attack's own texture.
+        settings: numbers that the name leaves open.
 
     Raises:
-        ConfigurationError: the name is none, or palette or texture are missing or do not fit.
+        ConfigurationError: no such name, or palette or texture are missing or do not fit.
     """
     name = CamouflageName.parse(name) if isinstance(name, str) else name
     settings = settings or CamouflageSettings()
@@ -69,13 +66,7 @@ def draw_control(
     texture: Camouflage | None = None,
     settings: CamouflageSettings | None = None,
 ) -> Camouflage:
-    """Draws a random control, such as "R-PixFc-3"; name and seed decide it.
-
-    Args:
-        name: of a random control, with its repeat.
-        seed: of the run.
-        palette, texture, settings: as of `make_camouflage`.
-    """
+    """Draws a random control, such as "R-PixFc-3", from its name and the seed of the run."""
     generator = generator_of(seed, "control", str(name))
     return make_camouflage(
         name, generator=generator, palette=palette, texture=texture, settings=settings
@@ -90,15 +81,12 @@ def make_candidates(
     palette: Float[Tensor, "K 3"] | None = None,
     settings: CamouflageSettings | None = None,
 ) -> list[Camouflage]:
-    """Makes what a control is chosen from.
+    """Makes the candidates of a chosen control.
 
     Args:
-        name: of the control: "R-Ma_plain", 27 plain paints under its mask; "R-S-O@0.4_plain", every
-            vertex out as far as it may, under the vehicle's own paint; "R-C-Ma@0.2_plain", both;
-            "R-PixFc_best", the first so many draws of R-PixFc.
-        draws: how many draws.
-        seed: decides them, as of the draws by themselves.
-        palette, settings: as of `make_camouflage`.
+        "R-Ma_plain" has 27 plain paints under its mask, "R-S-O@0.4_plain" every vertex out under
+            the vehicle's own paint, "R-C-Ma@0.2_plain" both, "R-PixFc_best" the first draws of
+            R-PixFc.
 
     Raises:
         ConfigurationError: no such control.

@@ -1,7 +1,5 @@
 """What a texture would take on real vehicles: painted area, blocks, colours, boundaries."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from statistics import fmean
 
@@ -26,16 +24,13 @@ class TextureMeasures:
     """One texture on one vehicle.
 
     Attributes:
-        painted_area_m2: area of the texels that wear the texture.
+        painted_area_m2: area of the covered texels.
         colours: different 8-bit colours among them.
-        boundary_m: length of all edges between neighbouring painted texels of different colour; the
-            rim towards what is not painted does not count.
-        regions: connected painted areas of one colour; texels are connected across edges, not
-            corners.
-        blocks: blocks of Pix that hold at least one painted texel; None without Pix.
-        block_cm: median size of a block on the vehicle's paint, such as {"roof": (15.8, 18.1)},
-            around the body (u) and along it (v); regions that the vehicle lacks are left out. Empty
-            without Pix.
+        boundary_m: length of all edges between covered texels of different colour.
+        regions: connected areas of one colour, across edges, not corners.
+        blocks: blocks of Pix with a covered texel; None without Pix.
+        block_cm: median size of a block by region, such as {"roof": (15.8, 18.1)}, around the body
+            (u) and along it (v); empty without Pix.
     """
 
     painted_area_m2: float
@@ -55,10 +50,8 @@ def measure_texture(
     """Measures a universal texture on each vehicle, in its present shape.
 
     Args:
-        vehicles: procedural vehicles on the template of `make_template`.
         texture: the map, sRGB in [0, 1] or bytes; colours are compared as bytes.
-        mask: where each vehicle wears the map; None for everything but the underside, which nobody
-            sees.
+        mask: cover on each vehicle; None for everything but the underside.
         block_px: side of a block of Pix in texels; None without Pix.
 
     Raises:
@@ -104,20 +97,14 @@ def measure_texture(
 def worn_texels(
     vehicles: VehicleBatch, mask: Bool[Tensor, "N 512 512"] | None
 ) -> Bool[Tensor, "N 512 512"]:
-    """Masks which texels of each vehicle wear a texture, on the CPU.
-
-    Args:
-        vehicles: of whatever shape.
-        mask: where the texture is laid; None for everywhere but the underside.
-    """
+    """The covered texels of each vehicle, on the CPU; without a mask all but the underside."""
     return (vehicles.parts != Part.UNDERSIDE if mask is None else mask).cpu()
 
 
 def mean_measures(measures: tuple[TextureMeasures, ...]) -> dict[str, float]:
     """Means over vehicles, under flat names such as "painted_area_m2" and "block_roof_u_cm".
 
-    A block's size in a region is the mean over the vehicles that have the region; without Pix there
-    are no blocks, and their names are left out.
+    A block's size in a region is the mean over the vehicles that have the region.
     """
     columns: dict[str, list[float]] = {}
     for measure in measures:

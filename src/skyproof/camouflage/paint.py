@@ -1,7 +1,5 @@
 """Paints that nobody learnt: one colour on body panels or on everything, or two tones."""
 
-from __future__ import annotations
-
 import itertools
 
 import torch
@@ -32,17 +30,12 @@ TWO_TONES: tuple[tuple[Colour, Colour], ...] = tuple(
 
 
 def plain_paint(colour: Colour, *, masked: bool) -> UniversalTexture:
-    """Returns one colour as a finished camouflage: a universal texture.
+    """Returns one colour as a finished texture, such as "R-Ma_plain_ff8000".
 
-    It is what the simplest of all attacks would put on a vehicle, and under the same mask the fair
-    control of those that learn.
+    It is the simplest of all attacks, and the fair control of others under the same mask.
 
     Args:
-        colour: sRGB bytes.
-        masked: whether it lies on painted body panels only (Ma), or on everything.
-
-    Returns:
-        A texture named after its constraints and its colour, "R-Ma_plain_ff8000".
+        masked: whether it covers painted panels (Ma) instead of everything.
     """
     name = CamouflageName(
         "texture",
@@ -58,15 +51,7 @@ def plain_paint(colour: Colour, *, masked: bool) -> UniversalTexture:
 
 
 def two_tone_paint(upper: Colour, lower: Colour) -> UniversalTexture:
-    """Returns two colours on the painted body panels as a finished camouflage.
-
-    Args:
-        upper: sRGB bytes of what lies above the shoulder: roof, pillars, bonnet and boot.
-        lower: of the sides below it.
-
-    Returns:
-        A texture named "R-Ma_two_tone_ff8000_007fff".
-    """
+    """Returns a finished texture of two colours above and below the shoulder, on painted panels."""
     name = CamouflageName(
         "texture",
         TextureConstraints(masked=True),

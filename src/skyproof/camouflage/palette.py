@@ -1,7 +1,5 @@
 """Few colours that stand for many: K-means over the pixels of the ground, in CIELAB."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Annotated
@@ -35,24 +33,18 @@ class _Palette(msgspec.Struct):
 def fit_palette(
     pixels: Float[Tensor, "P 3"], colours: int = 5, *, seed: int
 ) -> Float[Tensor, "K 3"]:
-    """Few colours that stand for many pixels, by K-means in CIELAB (section 5.4).
+    """Few colours that stand for many pixels, by K-means in CIELAB (section 5.4), best of four
+    starts.
 
-    In CIELAB equal distances look about equally different, so that dark ground does not lose its
-    colours to bright ground. The best of four seeded starts is taken.
+    In CIELAB equal distances look about equally different, so dark ground keeps its colours.
 
     Differences from the paper: it names no colour space.
-
-    Args:
-        pixels: sRGB in [0, 1].
-        colours: how many.
-        seed: of the starts.
 
     Returns:
         sRGB in [0, 1], rounded to 8 bits, the most frequent colour first.
 
     Raises:
-        ConfigurationError: fewer than two colours are asked for, or the pixels have fewer distinct
-            ones.
+        ConfigurationError: fewer than two colours are wanted, or the pixels have fewer.
     """
     if colours < 2:
         raise ConfigurationError(
@@ -77,19 +69,10 @@ def fit_palette(
 def ground_palette(
     backgrounds: BackgroundSet, colours: int = 5, *, seed: int = 0
 ) -> Float[Tensor, "K 3"]:
-    """The colours of the ground that attacks see, evenly from all of its tiles (section 5.4).
-
-    Args:
-        backgrounds: the pixels of their split "attack" are looked at.
-        colours: how many.
-        seed: of the choice of pixels and of the starts of K-means.
-
-    Returns:
-        sRGB in [0, 1], rounded to 8 bits, the most frequent colour first.
+    """The colours of the ground in attacks, evenly from all of its tiles (section 5.4).
 
     Raises:
-        ConfigurationError: fewer than two colours are asked for, or the ground has fewer.
-        StoredFileError: a tile is missing or damaged.
+        ConfigurationError: as of `fit_palette`.
     """
     generator = generator_of(seed, "palette")
     tiles = max(1, len(backgrounds.tiles("attack")))
@@ -102,8 +85,7 @@ def load_palette(path: Path) -> Float[Tensor, "K 3"]:
     """Reads `[K, 3]` colours from JSON: {"colours_srgb": [[red, green, blue], ...]}, 0 to 255.
 
     Raises:
-        StoredFileError: the file is missing, of another form, or has fewer than 2 or more than 256
-            colours.
+        StoredFileError: the file is missing, of another form, or has not 2 to 256 colours.
     """
     palette: _Palette = read_document(
         Path(path),

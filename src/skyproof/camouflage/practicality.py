@@ -1,7 +1,5 @@
 """How practical a camouflage is, in the paper's three signs, as its constraints say (section 4)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from skyproof.camouflage.constraints import TextureConstraints
@@ -12,9 +10,9 @@ class Signs:
     """One sign per criterion: +1 for practical, 0 for neither, −1 for impractical.
 
     Attributes:
-        production_cost: PC, what material and labour cost.
-        installation_difficulty: DI, how hard it is to put onto a vehicle.
-        operation_difficulty: DO, how much it hinders driving.
+        production_cost: PC, cost of material and labour.
+        installation_difficulty: DI, difficulty of putting it onto a vehicle.
+        operation_difficulty: DO, hindrance in driving.
     """
 
     production_cost: int
@@ -29,12 +27,7 @@ class Signs:
 
 @dataclass(frozen=True)
 class PracticalityScore:
-    """The signs of texture and shape, scored apart.
-
-    Attributes:
-        texture: signs of the change of texture, all 0 where textures are the original ones.
-        shape: signs of the change of shape, all 0 where shapes are the original ones.
-    """
+    """The signs of texture and shape, apart; 0 for an original side."""
 
     texture: Signs
     shape: Signs
@@ -58,10 +51,6 @@ def score_practicality(
     - Production is + with Pix and Fc, 0 with Pix and Lc (its colours may be hard to get), otherwise
       −: few colours alone save nothing, because the whole vehicle still has to be wrapped.
     - A changed shape is − in all three.
-
-    Args:
-        texture: constraints of the texture; None for original textures.
-        shape_changed: whether any vertex moves; a displacement with PM = 0 changes nothing.
     """
     shape = Signs(-1, -1, -1) if shape_changed else _NO_CHANGE
     if texture is None:

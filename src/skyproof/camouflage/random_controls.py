@@ -1,7 +1,5 @@
 """Vehicles that a detector is trained on, in random patterns and random shapes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import torch
@@ -34,18 +32,12 @@ _WIDEST_HUE = 20.0
 
 
 def wear_random_controls(fleet: Fleet, *, generator: torch.Generator) -> Fleet:
-    """Gives vehicles the patterns and shapes that they are marked for, each one of its own.
+    """Gives vehicles the patterns and shapes that their sources mark, each its own; no attack.
 
-    Whose coat is "patterned" is painted in the random control of one of the twelve textures
-    (section 5.4), those in fixed colours all over twice as often as others; of fourteen patterns
-    six lie on painted body panels alone.
-    Whose shape is "random" gets that of R-S-O, at a magnitude drawn uniformly from 0.1 to 0.4. No
-    attack is asked, and nothing is learnt: number and width of blocks and colours vary, and fixed
-    colours are spread about a random middle, as the colours of some ground are.
-
-    Args:
-        fleet: as `sample_fleet` drew it; it is left as it is.
-        generator: on the CPU.
+    A "patterned" coat is the random control of one of twelve textures (section 5.4), those in fixed
+    colours all over twice as often; six of fourteen cover painted panels alone. Number and width of
+    blocks and colours vary, and fixed colours spread about a random middle. A "random" shape is
+    that of R-S-O, at a magnitude drawn uniformly from 0.1 to 0.4.
     """
     patterned = _rows(fleet, "coat", "patterned")
     shaped = _rows(fleet, "shape", "random")
@@ -94,10 +86,7 @@ def _shape(fleet: Fleet, rows: list[int], generator: torch.Generator) -> Fleet:
 
 
 def _palette(colours: int, generator: torch.Generator) -> Float[Tensor, "K 3"]:
-    """Colours about a random middle, near to each other or far apart.
-
-    As in the colours of some ground, the middle is muted, and lightness spread wider than hue.
-    """
+    """Colours about a random, muted middle, spread wider in lightness than in hue, like ground."""
     middle = srgb_to_cielab(varied_colours(1, muted=1.0, generator=generator))
     light, hue = torch.rand(2, generator=generator).tolist()
     spread = torch.tensor([_WIDEST_LIGHTNESS * light, _WIDEST_HUE * hue, _WIDEST_HUE * hue])

@@ -1,7 +1,5 @@
 """What a camouflage's name leaves open; imports no torch, so that the command line is quick."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """One universal texture map for all vehicles, under any combination of three constraints."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -22,36 +20,33 @@ _PALETTE_SD = 0.05
 
 
 class UniversalTexture(Camouflage):
-    """Replaces every vehicle's texture by one map; drawn freely it is its own random control.
+    """Replaces every vehicle's texture by one map; a free random one is its own control.
 
-    The map is made in three independent stages (section 3.3): a grid of values (512 x 512, or
-    `blocks` x `blocks` when pixelised); their colours (free, or mixed from a palette); and where it
-    is laid (everywhere, or on painted body parts only).
+    The map has three independent stages (section 3.3): a grid of values (512 x 512, or `blocks` x
+    `blocks`), their colours (free, or mixed from a palette), and their place (everywhere, or on
+    painted panels).
 
-    With a palette every grid cell holds one logit per colour and shows the mixture
-    softmax(logits / temperature); the temperature falls geometrically during an attack, and
-    `finalise` leaves the most likely colour alone.
+    With a palette every cell holds one logit per colour and shows the mixture softmax(logits /
+    temperature). The temperature falls geometrically during an attack, and `finalise` keeps the
+    most likely colour.
 
-    Differences from the paper: logits and annealing take the place of s(s(p)), which keeps little
-    of what was learnt (docs/attacks.md). Palettes are learnt in sRGB.
+    Differences from the paper: logits and annealing replace s(s(p)), which loses most of the
+    optimisation (docs/attacks.md). Palettes are optimised in sRGB.
 
     Attributes:
-        constraints: which of the three hold; the name says it.
-        cells: `[3, g, g]` sRGB in [0, 1], drawn uniformly; or `[K, g, g]` logits, at first ln of
-            uniform draws.
-        palette: `[K, 3]` sRGB in [0, 1]; a parameter when learnt; absent when colours are free.
+        cells: `[3, g, g]` sRGB in [0, 1], drawn uniformly; or `[K, g, g]` logits, ln of uniform
+            draws.
+        palette: `[K, 3]` sRGB in [0, 1]; a parameter if optimised; absent if colours are free.
 
     Args:
-        name: of a texture or a combination, such as "T-PixFcMa".
-        generator: on the CPU; the cells and a learnt palette are drawn from it.
-        palette: `[K, 3]` fixed colours; or those near which a learnt palette begins, or among
-            which free cells do, and which are drawn uniformly where it is not given.
-        colours: how many colours are learnt, where no palette says it.
-        blocks: pixel blocks along a side of the map.
+        name: name with texture constraints, such as "T-PixFcMa".
+        palette: `[K, 3]` fixed colours; or the start of an optimised palette or of free cells,
+            drawn uniformly without it.
+        colours: number of optimised colours without a palette.
 
     Raises:
-        ConfigurationError: a name without texture constraints, blocks finer than the map, fewer
-            than two colours, or no palette for fixed colours.
+        ConfigurationError: no texture constraints, blocks that do not fit the map, fewer than two
+            colours, or no palette for fixed colours.
     """
 
     learning_rates: Mapping[str, float]
@@ -138,7 +133,7 @@ class UniversalTexture(Camouflage):
         return (self.map().detach().clamp(0, 1) * 255).round().byte()
 
     def mask(self, vehicles: VehicleBatch) -> Tensor | None:
-        """Says where the map is laid, as `[N, 512, 512]` of bools; None for everywhere.
+        """The place of the map, `[N, 512, 512]` bools; None for everywhere.
 
         Raises:
             ConfigurationError: no painted part on any of the vehicles.

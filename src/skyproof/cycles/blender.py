@@ -1,7 +1,5 @@
 """Finds a Blender for the worker: a Python with bpy, or the user's executable."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil
@@ -58,10 +56,7 @@ def find_blender(path: Path | None = None) -> Blender:
 
 
 def worker_environment(environment: dict[str, str], scratch: str | Path) -> dict[str, str]:
-    """Returns an environment that keeps this Python's packages out of Blender's.
-
-    `scratch` is the folder for Blender's own files, which a killed Blender leaves behind.
-    """
+    """An environment without this Python's packages, with a folder for Blender's scratch files."""
     kept = {
         name: value
         for name, value in environment.items()

@@ -1,7 +1,5 @@
 """Lays path-traced crops over the photograph, in linear light (section S2)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import torch
@@ -27,23 +25,16 @@ def composite_crops(
 ) -> Float[Tensor, "3 H W"]:
     """Lays crops over one image: I = I_bg * (1 - G(taken)) + G(colour), in linear light.
 
-    Vehicles get the sensor's noise.
-
-    `taken` is the share that the crop takes from the ground's light, per channel: all of it behind
-    vehicles, and 1 - ratio beside them, where ratio is the light there over the light without
-    vehicles (below 1 in shadow, above 1 beside a bright side). Pixels out of reach keep the
-    photograph's value exactly.
+    `taken` is the share of the ground's light that a crop takes per channel: all behind vehicles,
+    and 1 - ratio beside them, where ratio is the light there over the light without vehicles.
+    Pixels out of reach keep the photograph's value exactly. Vehicles get the sensor's noise.
 
     Args:
-        photograph: sRGB.
         crops: left, top, width, height in image pixels, and linear colour times coverage (3),
-            coverage (1), ratio (3). Each crop shows everything in its window, so that either is
-            right in an overlap of two.
-        seed: seed of the noise.
-        margin_px: width in pixels over which the rest of the ratio fades out towards a crop's edge;
-            the image's border does not fade it, because the shadow continues there.
-        sensor: blur and noise.
-        lights: how this photograph shows light.
+            coverage (1), ratio (3). Each crop shows everything in its window, so either is right in
+            an overlap.
+        margin_px: width over which the rest of the ratio fades out towards a crop's edge; not at
+            the image's border, where the shadow continues.
     """
     if not crops:
         return photograph
@@ -86,10 +77,7 @@ def composite_crops(
 def _inwards(
     length: int, margin: int, cut: tuple[bool, bool], like: Tensor
 ) -> Float[Tensor, " length"]:
-    """Rises from 0 outside the first pixel to 1 beyond the margin, and falls at the other end.
-
-    A cut end stays 1 up to its last pixel.
-    """
+    """Rises from 0 outside the first pixel to 1 beyond the margin, and falls at an uncut end."""
     step = torch.arange(length, device=like.device, dtype=like.dtype) + 0.5
     from_first, from_last = (
         torch.full_like(step, torch.inf) if end else way

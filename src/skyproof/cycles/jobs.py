@@ -39,8 +39,7 @@ class Job:
     Attributes:
         name: name in messages, such as "vehicle 2 of test-0007".
         scene: index of its image.
-        window_px: left, top, width, height in image pixels; may reach beyond the image by the
-            sensor's blur.
+        window_px: left, top, width, height in image pixels; may reach beyond the image.
         numbers: camera, sun, samples, seed.
         arrays: vehicles, ground and sky.
     """
@@ -71,8 +70,8 @@ class Job:
 def crop_windows(placed: Placed, margin_px: int, borders_px: Sequence[int]) -> Int[Tensor, "N 4"]:
     """Left, top, right, bottom of a window around each vehicle, its cast shadow and a margin.
 
-    Windows end at the image's border plus the reach of the sensor's blur (`borders_px`, one per
-    image); a window has no area if its vehicle is not near the image.
+    Windows end at the image's border plus the sensor's blur (`borders_px`, one per image). The
+    window of a vehicle far from the image has no area.
     """
     points = torch.cat((placed.screen, placed.shadow_screen), dim=1)
     window = torch.cat(
@@ -93,9 +92,8 @@ def crop_jobs(
 ) -> list[Job]:
     """One job for every vehicle that the image may show.
 
-    A crop also holds the scene's other vehicles that reach into it: they hide and shade each other.
-    `vehicles` and `placed` have one row per placement; `ground` is the reflectance of the ground;
-    `windows` come from `crop_windows`.
+    A crop also holds the other vehicles that reach into it, because they hide and shade each other.
+    `ground` is the reflectance of the ground, `windows` come from `crop_windows`.
     """
     low, high = windows[:, :2], windows[:, 2:]
     rows = _Rows(vehicles, placed)

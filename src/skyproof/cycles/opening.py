@@ -1,7 +1,5 @@
 """Opens the renderer that a command's options choose."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Iterator
@@ -21,10 +19,7 @@ from skyproof.scenes.backgrounds import BackgroundSet
 def open_renderer(
     rendering: Rendering, backgrounds: BackgroundSet, out: Path
 ) -> Iterator[Renderer]:
-    """Yields the chosen renderer.
-
-    Path-traced crops are kept beside `out` until the block ends well, so that a stopped run
-    continues.
+    """Yields the chosen renderer; crops stay beside `out` until the block ends, for resuming.
 
     Raises:
         ConfigurationError: there is no usable Blender, or the settings cannot work.

@@ -1,7 +1,5 @@
 """The path tracer as a renderer: the same scenes and labels in another light (section S3.2.2)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -36,13 +34,12 @@ from skyproof.vehicles.vehicle import VehicleBatch
 class CyclesRenderer:
     """Path-traces a crop around every vehicle in Blender Cycles and lays it over the photograph.
 
-    Sun and sky add up to the light of the photograph's exposure. Vehicles hide, shade and mirror
-    each other and themselves, and exchange light with the photographed ground. Camera, places,
-    headings, labels, blur, noise and weather are those of `TorchRenderer`.
+    Sun and sky add up to the photograph's light. Vehicles hide, shade and mirror each other and
+    themselves, and exchange light with the photographed ground. Camera, places, labels, blur, noise
+    and weather are those of `TorchRenderer`.
 
     Differences from the paper: only crops are path-traced, and the photograph is the ground,
-    because the authors' Blender scenes are not available. There are no camera effects beyond the
-    sensor model; vehicles are closed shells without an inside.
+    because the authors' Blender scenes are not available. Vehicles are closed shells.
     """
 
     name = "cycles"

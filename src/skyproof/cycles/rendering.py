@@ -1,7 +1,5 @@
 """The choice of a renderer: options that several commands share. Imports no torch."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal

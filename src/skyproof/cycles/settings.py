@@ -1,7 +1,5 @@
 """Settings of the path tracer besides light and sensor. Imports no torch."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated, Literal
 

@@ -1,7 +1,5 @@
 """Sun and sky as light sources that add up to the light of the photograph's exposure."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -23,9 +21,9 @@ class Daylight:
 
     Attributes:
         sun_irradiance: linear red, green, blue across the sun's rays.
-        sky: `[32, 64, 3]` linear radiance by elevation (90 degrees in the first row, -90 in the
-            last) and azimuth, for Blender's environment texture: the middle column looks along +x,
-            columns go clockwise seen from above; zero below the horizon.
+        sky: `[32, 64, 3]` linear radiance by elevation (90 degrees in the first row) and azimuth
+            (the middle column looks along +x, columns go clockwise from above), for Blender's
+            environment texture; zero below the horizon.
     """
 
     sun_irradiance: tuple[float, float, float]
@@ -35,8 +33,7 @@ class Daylight:
 def daylight(sun: Sun, sky_light: tuple[float, float, float], clouds: float) -> Daylight:
     """Returns sun and sky, whose irradiances on level ground add up to pi in every channel.
 
-    `sky_light` is the sky's share of the light on open ground (red, green, blue), `clouds` the
-    share of that light that comes from clouds, both 0 to 1.
+    `sky_light` is the sky's share of the light on open ground, `clouds` the share of clouds in it.
     """
     dome = (1 - clouds) * _dome(CLEAR, sun) + clouds * _dome(OVERCAST, sun)
     share = np.array(sky_light)

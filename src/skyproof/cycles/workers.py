@@ -36,9 +36,8 @@ _CHANNELS = 7
 class Workers:
     """Several Blender processes of one thread each, used as a context; the first job starts them.
 
-    A result depends on its job alone: its bytes are the same for any number of processes. Results
-    are kept in the folder `results` under the jobs' digests, so that interrupted work continues; if
-    it is None, only until the context ends.
+    A result depends on its job alone, for any number of processes. Results stay in the folder
+    `results` under the jobs' digests, or if it is None until the context ends.
     """
 
     def __init__(self, blender: Blender, count: int, results: Path | None = None) -> None:
@@ -79,8 +78,7 @@ class Workers:
         """The results of all jobs, in their order; existing ones are read.
 
         Raises:
-            RunFolderError: a job failed twice, a worker died twice in it, or the disk is full;
-                names it.
+            RunFolderError: a job failed twice, a worker died twice in it, or the disk is full.
         """
         executor = ThreadPoolExecutor(self.count)
         try:
@@ -229,11 +227,7 @@ class _Process:
         return True
 
     def _listen(self) -> _Answer | None:
-        """The next line for us; None if the process has ended.
-
-        Raises:
-            ValueError: the line has another form.
-        """
+        """The next line for us; None if the process has ended."""
         assert self._process is not None
         assert self._process.stdout is not None
         while line := self._process.stdout.readline(_LONGEST_LINE):

@@ -187,7 +187,7 @@ def _check_dimensions(body_type: str, dimensions: BodyDimensions) -> None:
     """Refuses dimensions that no stretched body of its type has: they could not be drawn."""
     ranges = BODY_RANGES[body_type]
     for name in _NAMES:
-        low, high = getattr(ranges, name)
+        low, high = ranges[name]
         if not (
             low / _STRETCH - _SLACK_M <= getattr(dimensions, name) <= high * _STRETCH + _SLACK_M
         ):

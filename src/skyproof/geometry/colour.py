@@ -1,9 +1,4 @@
-"""sRGB for storage, linear light for sums, CIELAB for perceived differences.
-
-sRGB is that of IEC 61966-2-1.
-"""
-
-from __future__ import annotations
+"""sRGB (IEC 61966-2-1) for storage, linear light for sums, CIELAB for perceived differences."""
 
 from typing import Any
 
@@ -27,10 +22,7 @@ def srgb_to_linear(srgb: Float[Tensor, "*S"]) -> Float[Tensor, "*S"]:
 
 
 class _SrgbToLinear(torch.autograd.Function):
-    """Takes the derivative from the result, without another power.
-
-    Textures are large, and every step converts them.
-    """
+    """Takes the derivative of large textures from the result, without another power."""
 
     @staticmethod
     def forward(context: Any, srgb: Tensor) -> Tensor:

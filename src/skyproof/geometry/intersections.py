@@ -1,7 +1,5 @@
 """Counts self-intersections of a triangle mesh."""
 
-from __future__ import annotations
-
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor

@@ -1,7 +1,5 @@
 """Normals, edges and volume of triangle meshes."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import torch
@@ -12,8 +10,7 @@ from torch import Tensor
 def at_corners(values: Float[Tensor, "N V C"], faces: Int[Tensor, "F 3"]) -> Float[Tensor, "3 C M"]:
     """Returns vertex values at the three corners of every face, mesh by mesh: M = N * F.
 
-    Every corner's every channel is one plane, because arithmetic on rows of two or three numbers
-    takes several times as long.
+    Every corner's every channel is one plane: arithmetic on rows of two or three numbers is slow.
     """
     count, vertices, channels = values.shape
     meshes = torch.arange(count, device=faces.device)[:, None] * vertices
@@ -57,9 +54,6 @@ def mesh_edges(faces: Int[Tensor, "F 3"]) -> tuple[Int[Tensor, "E 2"], Int[Tenso
     """Returns the undirected edges of a closed mesh and the two faces at each.
 
     The first face has the edge in the given order, the second in the opposite order.
-
-    Raises:
-        ValueError: the mesh is not closed and consistently oriented.
     """
     directed = torch.cat((faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]))
     owner = torch.arange(len(faces), device=faces.device).repeat(3)

@@ -1,7 +1,5 @@
 """The oblique orthophoto projection: the ground stays on the pixel grid, height leans away."""
 
-from __future__ import annotations
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -25,13 +23,12 @@ def project(
 ) -> tuple[Float[Tensor, "N V 2"], Float[Tensor, "N V"]]:
     """Projects world points along parallel rays onto the ground, and so onto the pixel grid.
 
-    World points are in metres (x east, y north, z up), with (0, 0) at the image centre; `direction`
-    holds unit vectors from the scene towards the viewer, z > 0. If they point to the sun instead,
-    the results are the points' shadows.
+    World points are in metres (x east, y north, z up) from the image centre. `direction` holds unit
+    vectors towards the viewer, z > 0; if they point to the sun, the results are shadows.
 
     Returns:
-        Pixel coordinates (x right, y down, origin at the top-left corner of the top-left pixel),
-            and depth in metres: smaller is nearer to the viewer.
+        Pixel coordinates from the top-left corner (x right, y down), and depth in metres: smaller
+        is nearer.
     """
     lean = (direction[:, :2] / direction[:, 2:])[:, None]
     ground = points[..., :2] - points[..., 2:] * lean

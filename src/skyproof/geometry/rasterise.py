@@ -1,7 +1,5 @@
 """Finds the triangle that each sample sees: exact, without padding, the same on CPU and GPU."""
 
-from __future__ import annotations
-
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -20,12 +18,10 @@ class Visibility:
     """The view of a grid of samples: one window of `S x S` samples for each of `N` bodies.
 
     Attributes:
-        keys: `[N, S, S]` depth and face packed into one integer; the largest one for empty samples.
-        covered: `[K]` flat indices into `keys` of the samples that see a triangle.
-        x: `[K]` column of each of them in its window.
-        y: `[K]` row of each of them.
-        vehicle: `[K]` index of its window.
-        face: `[K]` index of the visible face.
+        keys: `[N, S, S]` depth and face in one integer; the largest one for empty samples.
+        covered: `[K]` flat indices into `keys` of samples with a triangle.
+        x, y, vehicle, face: `[K]` their column and row, the index of their window, the visible
+            face.
     """
 
     def __init__(self, keys: Int[Tensor, "N S S"]) -> None:
@@ -41,9 +37,8 @@ class Visibility:
         self.face: Int[Tensor, " K"] = flat.index_select(0, self.covered) & ((1 << _FACE_BITS) - 1)
 
     def cells(self, factor: int) -> tuple[Int[Tensor, " K"], Int[Tensor, " K"]]:
-        """Returns column and row of each sample's cell, which is `factor` samples wide.
-
-        A look-up takes a fifth of the time of a division.
+        """Column and row of each sample's cell of `factor` samples; look-ups are faster than
+        divisions.
         """
         cell = torch.arange(self.keys.shape[-1], device=self.x.device) // factor
         return cell.index_select(0, self.x), cell.index_select(0, self.y)
@@ -62,10 +57,7 @@ class Visibility:
 
 
 def face_areas(screen: Float[Tensor, "N V 2"], faces: Int[Tensor, "F 3"]) -> Float[Tensor, "N F"]:
-    """Returns twice the signed area of each projected triangle.
-
-    It is positive if the triangle shows its outside, as image y points down.
-    """
+    """Twice the signed area of each projected triangle, positive if it shows its outside."""
     return _areas(at_corners(screen, faces)).view(len(screen), len(faces))
 
 
@@ -77,10 +69,7 @@ def _areas(corners: Float[Tensor, "3 2 M"]) -> Float[Tensor, " M"]:
 def barycentric(
     corners: Float[Tensor, "3 2 K"], point: Float[Tensor, "2 K"]
 ) -> Float[Tensor, "3 K"]:
-    """Returns the weights of a triangle's three corners at a point; differentiable in both.
-
-    Each triangle has an area, any orientation, and one point in the same unit.
-    """
+    """Returns the weights of a triangle's three corners at a point; differentiable in both."""
     a, b, c = corners
     to_b, to_c, to_point = b - a, c - a, point - a
     area = _cross(to_c, to_b)
@@ -100,20 +89,14 @@ def rasterise(
 ) -> Visibility:
     """Finds the nearest triangle at the centre of every sample.
 
-    Every triangle is cut into the rows of samples it crosses, every row into the samples between
-    its two edges. One integer minimum over (depth, face) finds the nearest triangle; at equal
-    depth, to 0.01 mm, the first face wins.
+    Triangles are cut into the rows of samples they cross, rows into the samples between two edges.
+    One integer minimum over (depth, face) finds the nearest triangle. At equal depth, to 0.01 mm,
+    the first face wins.
 
     Args:
-        screen: vertices in samples, relative to the top-left corner of their own window.
+        screen: vertices in samples from the top-left corner of their own `size` x `size` window.
         depth: metres, smaller is nearer, magnitude below 10 km.
-        faces: shared by all bodies.
-        size: S, samples along a side.
-        two_sided: whether triangles that show their inside are drawn, too; without it only closed
-            bodies look right.
-
-    Raises:
-        ValueError: there are more faces than the key has bits for, which is two billion.
+        two_sided: whether triangles that show their inside are drawn, too, as open meshes need.
     """
     if len(faces) >= 1 << _FACE_BITS:
         raise ValueError(f"expected fewer than {1 << _FACE_BITS} faces, got {len(faces)}")
@@ -171,12 +154,10 @@ def _draw(
     start = torch.addcmul(slope[2], slope[1], y_step.to(corners.dtype))
     label = face.index_select(0, row)
 
-    # Rows to samples.
     span, step = _enumerate((high_x - low_x + 1).clamp(min=0))
     x_step = low_x.index_select(0, span) + step
     rise = slope[0].index_select(0, span)
     near = torch.addcmul(start.index_select(0, span), rise, x_step.to(corners.dtype))
-    # The nearest wins.
     key = (near.double() * 1e5).round().long() + _DEPTH_ZERO
     key = (key << _FACE_BITS) | label.index_select(0, span)
     keys.scatter_reduce_(0, place.index_select(0, span) + x_step, key, "amin")
@@ -192,10 +173,7 @@ def _enumerate(counts: Int[Tensor, " K"]) -> tuple[Int[Tensor, " M"], Int[Tensor
 def _planes(
     corners: Float[Tensor, "3 2 K"], depth: Float[Tensor, "3 K"], area: Float[Tensor, " K"]
 ) -> tuple[Float[Tensor, "3 3 K"], Float[Tensor, "3 K"]]:
-    """Returns the three weights, and the depth, at the centre of sample (i, j).
-
-    Each is a plane of three numbers: per i, per j, constant.
-    """
+    """The three weights and the depth as planes over samples (i, j): per i, per j, constant."""
     a, b, c = corners
     to_b, to_c, start = b - a, c - a, 0.5 - a
     # weight_b = cross(c - a, p - a) / area and weight_c = cross(p - a, b - a) / area, at the
@@ -212,10 +190,7 @@ def _planes(
 def _span(
     planes: Float[Tensor, "3 3 R"], row: Float[Tensor, " R"]
 ) -> tuple[Float[Tensor, " R"], Float[Tensor, " R"]]:
-    """Returns the range of i in which all three weights are positive in a row of samples.
-
-    Empty spans have low > high.
-    """
+    """The range of i with three positive weights in a row of samples; low > high if empty."""
     per_i, per_j, constant = planes.unbind(1)
     # A tiny tolerance closes the cracks that rounding opens between neighbours.
     rest = per_j * row + constant + 1e-5

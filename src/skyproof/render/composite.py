@@ -1,7 +1,5 @@
 """Vehicles and shadows laid over the photograph, in linear light, as the sensor shows them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import torch
@@ -30,27 +28,22 @@ def composite(
 ) -> Float[Tensor, "B 3 H W"]:
     """Lays blurred vehicles over the photographs, and adds noise where something was rendered.
 
-    I = I_bg * kept * (1 - G(coverage)) + G(coverage * colour), in linear light, where kept is what
-    the blurred shadows leave of sun and sky. It is shown as the photograph shows
-    light: between its black and its white, and bent where its shoulder begins. A pixel that nothing
-    reaches keeps the photograph's value exactly. A nearer vehicle hides a farther one; shadows fall
-    on the ground alone.
+    I = I_bg * kept * (1 - G(coverage)) + G(coverage * colour), in linear light, where kept is the
+    sun and sky that the blurred shadows leave. The photograph's light decides its black, white and
+    shoulder. A pixel out of reach keeps the photograph's value exactly. A nearer vehicle hides a
+    farther one. Shadows fall on the ground alone.
 
     Differences from the paper: I_bg + G(I_fg - I_bg) (section 3.2) is the same on even ground, but
-    leaves I_bg - G(I_bg) standing on top of the vehicle: lane markings shine through. The
-    photograph is already blurred; here it is hidden by as much as the blurred vehicle covers it.
+    lane markings shine through the vehicle. Here the photograph is hidden by as much as the blurred
+    vehicle covers it.
 
     Args:
         photographs: sRGB; written over.
-        bodies: per vehicle linear colour times coverage (3), and coverage (1).
-        shadows: per vehicle the part of the sun and the part of the sky that each pixel of the
-            ground loses (2).
-        scene: each vehicle's image.
+        bodies: linear colour times coverage (3), and coverage (1), per vehicle.
+        shadows: shares of sun and sky that each pixel of the ground loses (2), per vehicle.
         nearness: orders the vehicles of an image; larger is nearer to the camera.
-        seeds: decide the noise, one per image.
-        lights: how the photographs show light.
-        sensors: blur and noise, one per image.
-        cover: the part of each pixel in which the photograph hides all of this, if any.
+        seeds: seeds of the noise, one per image.
+        cover: share of each pixel in which the photograph hides all of this.
     """
     count, _, height, width = photographs.shape
     # One window per image, around all that is drawn near it; another of it and its blur, of which
@@ -64,7 +57,6 @@ def composite(
     drawn = blurred(torch.cat((layers, shadow), dim=1), sensors, shown - origin, shape)
     colour, alpha, sun_lost, sky_lost = drawn.split((3, 1, 1, 1), dim=1)
 
-    # Where each pixel of the windows lies in the flat photographs.
     x = shown[:, 0, None] + torch.arange(shape[0], device=photographs.device)
     y = shown[:, 1, None] + torch.arange(shape[1], device=photographs.device)
     pixel = (y * width)[:, None, :, None] + x[:, None, None, :]
@@ -94,10 +86,7 @@ def composite(
 def _inside(
     origin: Int[Tensor, "B 2"], size: int, margin_px: int, whole: tuple[int, int]
 ) -> tuple[Int[Tensor, "B 2"], tuple[int, int]]:
-    """Returns windows (x, y) inside the images that hold all of the given ones and their margin.
-
-    All have one width and height, which are returned too. What is outside of an image is left out.
-    """
+    """Windows (x, y) inside the images around the given ones and a margin, and their one size."""
     wide = min(size + 2 * margin_px, whole[0])
     high = min(size + 2 * margin_px, whole[1])
     most = origin.new_tensor([whole[0] - wide, whole[1] - high])
@@ -117,11 +106,9 @@ def _whole(
     whole: tuple[int, int],
     margin_px: int,
 ) -> tuple[Int[Tensor, "B 2"], int]:
-    """Returns per image the top-left pixel of one window around all small ones.
+    """Per image the top-left pixel of one window around all small ones, and their one size.
 
-    All of these windows have one size, which is returned too. They reach beyond an image, `whole`
-    pixels wide and high, by no more than a margin; `_lay` gathers in the last of its pixels what
-    lies farther out.
+    They reach beyond an image by no more than a margin; `_lay` gathers what is farther out.
     """
     index = scene[:, None].expand(-1, 2)
     far = torch.iinfo(torch.long).max // 4

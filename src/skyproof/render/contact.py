@@ -1,7 +1,5 @@
 """Contact shadows: the part of the sky that a vehicle hides from the ground around it."""
 
-from __future__ import annotations
-
 import math
 
 import torch
@@ -35,9 +33,9 @@ def surrounded(placed: Placed) -> Float[Tensor, "N 2 2"]:
 
 
 def contact_shadows(window: Windows, placed: Placed) -> Float[Tensor, "N 1 S S"]:
-    """Computes the part of the sky's light that vehicles take from the ground beside them.
+    """The share of the sky's light that vehicles take from the ground beside them.
 
-    Every vehicle counts as a box as long, wide and high as it is. It is differentiable in these.
+    Every vehicle counts as a box. It is differentiable in the box's size.
     """
     # Where the window's pixels lie, in metres along each vehicle's axes.
     steps = torch.arange(window.size, device=window.origin.device) + 0.5
@@ -58,17 +56,12 @@ def contact_shadows(window: Windows, placed: Placed) -> Float[Tensor, "N 1 S S"]
 def ground_shadows(
     cast: Float[Tensor, "N 1 S S"], contact: Float[Tensor, "N 1 S S"], light: Lighting
 ) -> Float[Tensor, "N 2 S S"]:
-    """Returns the part of the sun and the part of the sky that vehicles take from the ground.
+    """Returns the shares of sun and sky that vehicles take from the ground.
 
-    In the cast shadow a fifth of a clear sky is missing everywhere, because the vehicle hides the
-    brighter half around the sun, and more towards the vehicle. Beside it in the sun nothing is
-    missing: the bright side gives back what it hides. Both as path tracing has it (docs/cycles.md).
-    Where no direct sun is, under clouds or in a photographed shadow, there is the contact shadow.
-
-    Args:
-        cast: the part of each pixel that the vehicle keeps the sun from.
-        contact: of `contact_shadows`.
-        light: on each vehicle.
+    In the cast shadow a fifth of a clear sky is missing, because the vehicle hides the brighter
+    half around the sun, and more towards the vehicle. Beside it in the sun nothing is missing,
+    because the bright side gives back what it hides. Both agree with path tracing (docs/cycles.md).
+    Without direct sun there is the contact shadow.
     """
     sunlit = light.sunlit[:, :, None, None]
     clear = sunlit * (1 - light.overcast[:, :, None, None])

@@ -1,7 +1,5 @@
 """Crowns and roofs of the photograph, which hide parts of the vehicles that stand beneath."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import torch
@@ -25,20 +23,10 @@ _BLUR_PX = 2
 def covers(
     cut: Cut, scenes: Sequence[Scene], placed: Placed, faces: Int[Tensor, "F 3"]
 ) -> Float[Tensor, "B 1 H W"] | None:
-    """Returns the part of each pixel in which the photograph hides the vehicles.
+    """Returns the share of each pixel in which the photograph hides the vehicles; None for none.
 
-    It is 0 where a vehicle stands on top of what covers the ground, as uniform places have it
-    (`Placement.covered` is 0 there), and under its shadow. Cover is taken to be flat: it does not
-    lean with the camera.
-
-    Args:
-        cut: of the background set.
-        scenes: as drawn.
-        placed: their vehicles.
-        faces: of their template.
-
-    Returns:
-        None where no vehicle of these scenes stands beneath anything.
+    It is 0 around a vehicle on top of the cover (`Placement.covered` is 0 there) and its shadow.
+    Cover is flat: it does not lean with the camera.
     """
     size_px = placed.size_px
     found: Float[Tensor, "B 1 H W"] | None = None

@@ -1,7 +1,5 @@
 """Scenes drawn to disk; with and without camouflage they are matched pairs (section S5.1)."""
 
-from __future__ import annotations
-
 import hashlib
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -35,15 +33,10 @@ def placed_vehicles(fleet: Fleet, scenes: Sequence[Scene]) -> VehicleBatch:
 
 @torch.no_grad()
 def ground_corners(scenes: Sequence[Scene], vehicles: VehicleBatch) -> Float[Tensor, "N 4 2"]:
-    """Returns where the rectangle around each vehicle's plan lies, on the ground, in its image.
-
-    Args:
-        scenes: all of one image size and ground sampling distance.
-        vehicles: one row per placement, scene by scene.
+    """Returns the corners of the rectangle around each vehicle's plan, on the ground, in its image.
 
     Returns:
-        `[N, 4, 2]` pixel (x, y) of front left, front right, rear right and rear left; not cut at
-        the image border.
+        `[N, 4, 2]` pixel (x, y) of front left, front right, rear right and rear left, not cut.
     """
     placements = [placement for scene in scenes for placement in scene.placements]
     # On the CPU, so that a dataset has the same labels wherever it was drawn.
@@ -80,11 +73,8 @@ def render_dataset(
     """Writes `images/*.png`, `annotations.json` (COCO) and `scenes.jsonl`; whole or not at all.
 
     Args:
-        folder: must not exist yet.
-        scenes: all of one image size.
-        fleet: holds every vehicle the scenes name.
-        renderer: differentiable or not.
-        camouflage: changes the vehicles before they are drawn; None leaves them as they are.
+        scenes: all of one image size, with vehicles of the fleet.
+        camouflage: change of the vehicles.
         yolo: write the labels as YOLO text as well.
         progress: called with (images done, images in all).
 
@@ -131,10 +121,10 @@ def _worn(camouflage: Callable[[VehicleBatch], VehicleBatch]) -> str:
 def in_threads(
     work: Callable[[Item], Result], items: Sequence[Item], count: int
 ) -> Iterator[Iterator[Result]]:
-    """Yields the results of work in order, worked out by some threads while they are waited for.
+    """Yields the results of work in order, from threads that work ahead.
 
-    A batch consists of many small operations, which two threads on one batch speed up little; on
-    two batches they have nothing to wait for. At most one result per thread is kept in advance.
+    Two threads on one batch of small operations gain little, on two batches they gain all. At most
+    one result per thread is kept in advance.
     """
     threads = torch.get_num_threads()
     torch.set_num_threads(1)

@@ -1,7 +1,5 @@
 """What a renderer hands over: images and where each vehicle is in them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
@@ -21,13 +19,10 @@ class Frames:
         image: `[B, 3, H, W]` sRGB in [0, 1].
         scene_index: `[N]` the image each placement is in.
         boxes: `[N, 4]` pixel xyxy around the vehicle without its shadow, cut at the image border.
-        centres: `[N, 2]` pixel (x, y) of the middle of the vehicle, half its height above the
-            ground.
-        visible_px: `[N]` pixels' worth of samples that show the vehicle inside the image.
-        visible_fraction: `[N]` of its samples, those that show it inside the image and are not
-            hidden by the photograph's crowns and roofs.
-        masks: `[N, H, W]` pixels at least half covered by the vehicle, before blur; None unless
-            asked for.
+        centres: `[N, 2]` pixel (x, y) of the vehicle's middle at half its height.
+        visible_px: `[N]` samples that show the vehicle inside the image, in pixels.
+        visible_fraction: `[N]` share of its samples that are inside the image and not under cover.
+        masks: `[N, H, W]` pixels at least half covered by the vehicle, before blur; or None.
     """
 
     image: Float[Tensor, "B 3 H W"]
@@ -44,7 +39,6 @@ class Renderer(Protocol):
     """Draws scenes; `vehicles` holds one row per placement, scene by scene.
 
     Attributes:
-        name: as tables show it.
         differentiable: whether gradients reach textures and vertices.
         concurrent: whether several threads may call it at once.
     """

@@ -1,7 +1,5 @@
 """Scenes with their vehicles but for what these wear, kept while one camouflage follows another."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -25,20 +23,12 @@ _SAMPLE_BYTES, _FACE_BYTES = 76, 68
 
 @dataclass(frozen=True)
 class GeometryBuffer:
-    """All of some scenes that does not depend on what their vehicles wear (deferred shading).
+    """All of some scenes that their vehicles' textures do not change (deferred shading).
 
     Attributes:
-        scenes: which these are.
-        vertices, faces: of the vehicles that were placed.
-        texture_px: the side of their texture.
-        ground: the photographs without vehicles, sRGB; not to be written over.
-        placed, window, bodies: where the vehicles stand, and what samples see of them.
-        shadows: what they take from the ground.
-        lights, lighting: of the scenes, and on each vehicle.
-        sensors: one a scene.
-        cover: the part of each pixel in which the photograph hides the vehicles, if any.
-        labels: boxes and all else that is known of the vehicles in the images, by whether masks
-            were asked for; of images that count for nothing.
+        ground: photographs without vehicles, sRGB; not to be written over.
+        cover: share of each pixel in which the photograph hides the vehicles.
+        labels: boxes and other labels by whether masks were wanted; their images count for nothing.
     """
 
     scenes: tuple[Scene, ...]
@@ -79,10 +69,8 @@ class GeometryBuffer:
 
 
 class GeometryBuffers:
-    """Some of them, as many as a bounded memory holds; threads may share it.
-
-    Choosing among camouflages, checking detectors and scoring draw the same scenes again and again
-    in other textures.
+    """Buffers in a bounded memory; threads may share it. Many steps redraw scenes in other
+    textures.
     """
 
     most_bytes = 400_000_000
@@ -98,11 +86,9 @@ class GeometryBuffers:
         return buffer if buffer is not None and buffer.serves(vehicles) else None
 
     def keep(self, buffer: GeometryBuffer) -> None:
-        """Keeps a buffer, in the place of others of its scenes.
+        """Keeps a buffer in place of others of its scenes, and if there is no room of the youngest.
 
-        Where there is no room it takes that of the youngest: whoever draws more scenes in turn than
-        there is room for finds those with which each turn begins, and who draws one scene twice,
-        that one.
+        Drawing too many scenes in turn then finds those at the start of each turn.
         """
         if buffer.memory_bytes > self.most_bytes:
             return

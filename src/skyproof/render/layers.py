@@ -1,7 +1,5 @@
 """Samples to pixels: what each vehicle, and its shadow, puts on the pixels of its own window."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +11,7 @@ from skyproof.geometry.meshes import at_corners, vertex_normals
 from skyproof.geometry.rasterise import Visibility, barycentric, rasterise
 from skyproof.render.linear_texture import LinearTexture
 from skyproof.render.materials import CAMOUFLAGE, gloss_table
+from skyproof.render.placed import Placed
 from skyproof.render.settings import RenderSettings
 from skyproof.render.shade import Lighting, light
 from skyproof.render.silhouette import SilhouettePoints, silhouette_points
@@ -32,12 +31,11 @@ _TINY = 1e-24
 
 @dataclass(frozen=True)
 class Layers:
-    """What vehicles, or their shadows, put on the pixels of their windows.
+    """The drawn pixels of vehicles or shadows in their windows.
 
     Attributes:
-        window: where the pixels lie.
-        values: `[N, C, S, S]` of bodies linear colour times coverage and coverage (4 channels), of
-            shadows the parts of sun and sky that the ground loses (2 channels).
+        values: `[N, C, S, S]`, for bodies linear colour times coverage and coverage (4 channels),
+            for shadows the shares of sun and sky that the ground loses (2 channels).
     """
 
     window: Windows
@@ -46,23 +44,18 @@ class Layers:
 
 @dataclass(frozen=True)
 class SeenBodies:
-    """What samples see of bodies, whatever these wear; differentiable in the bodies' vertices.
+    """The visible surface of bodies without texture; differentiable in the vertices.
 
-    Whatever samples and faces have is kept in planes, one channel after the other, as `at_corners`
-    does.
+    Samples and faces are planes, one channel after the other, as in `at_corners`.
 
     Attributes:
-        visibility: which face each of K samples sees.
         samples: vertices in samples of the windows.
-        depth: metres, smaller is nearer.
-        uvs, normals: at the three corners of all faces of all bodies.
-        levels: the level of the texture's pyramid that fits, of each of these faces.
-        uv, normal, level: at each of the samples.
-        sunlit: whether the vehicle itself lets the sun's light through to each of them; a single 1
-            where it shades itself nowhere.
-        sun_places: where the sun sees these corners; None where no silhouette is to move, and
-            where vehicles do not shade themselves.
-        sun: what the sun sees, by which points of silhouettes are found to be lit; None there, too.
+        uvs, normals: values at the three corners of all faces of all bodies.
+        levels: fitting level of the texture's pyramid, by face.
+        uv, normal, level: values at each sample.
+        sunlit: whether the vehicle lets the sun reach each sample; a single 1 without self-shadows.
+        sun_places, sun: corners as the sun sees them, and its view; None without moving silhouettes
+            or self-shadows.
     """
 
     visibility: Visibility
@@ -81,64 +74,44 @@ class SeenBodies:
 
 def see_bodies(
     window: Windows,
-    screen: Float[Tensor, "N V 2"],
-    depth: Float[Tensor, "N V"],
-    vertices: Float[Tensor, "N V 3"],
+    placed: Placed,
     vehicles: VehicleBatch,
     sun: SunView | None,
     settings: RenderSettings,
 ) -> SeenBodies:
-    """Looks at vehicles as the camera does, whatever they wear.
-
-    Args:
-        window: around every vehicle.
-        screen: vertices in image pixels.
-        depth: metres, smaller is nearer.
-        vertices: metres, world frame.
-        vehicles: give template and size of texture.
-        sun: what it sees of them, where they shade themselves.
-        settings: supersampling.
-    """
+    """Looks at vehicles as the camera does, without their textures."""
     template, factor = vehicles.template, settings.supersampling
-    # Visibility: which face each sample sees.
-    samples = window.samples(screen, factor)
+    samples = window.samples(placed.screen, factor)
     wide = window.size * factor
-    visibility = rasterise(samples.detach(), depth.detach(), template.faces, wide)
-    # What the faces' corners have.
+    visibility = rasterise(samples.detach(), placed.depth.detach(), template.faces, wide)
     corners = at_corners(samples, template.faces)
     levels = _texture_levels(corners.detach(), vehicles)
-    at_vertices = vertex_normals(vertices, template.faces)
+    at_vertices = vertex_normals(placed.vertices, template.faces)
     normals = at_corners(at_vertices, template.faces)
     uvs = template.uvs[template.face_uvs].to(normals.dtype).permute(1, 2, 0)
-    uvs = uvs.repeat(1, 1, len(vertices))
-    # What the samples have.
+    uvs = uvs.repeat(1, 1, len(placed.vertices))
     row = visibility.vehicle * len(template.faces) + visibility.face
     centre = torch.stack((visibility.x, visibility.y)) + 0.5
     weights = _held_weights(corners.flatten(0, 1).index_select(1, row).view(3, 2, -1), centre)
     surface = _surface(uvs, normals, levels, row, weights)
-    sun_places = None if sun is None else sun.places(vertices, at_vertices, template.faces)
+    sun_places = None if sun is None else sun.places(at_vertices, template.faces)
     sunlit = _sunlit(sun, sun_places, row, weights, visibility.vehicle)
     # Both are large, and these may be kept for long.
     kept = (sun_places, sun) if samples.requires_grad else (None, None)
-    return SeenBodies(visibility, samples, depth, uvs, normals, levels, *surface, sunlit, *kept)
+    return SeenBodies(
+        visibility, samples, placed.depth, uvs, normals, levels, *surface, sunlit, *kept
+    )
 
 
 def draw_bodies(
     seen: SeenBodies, lighting: Lighting, vehicles: VehicleBatch, settings: RenderSettings
 ) -> Float[Tensor, "N 4 S S"]:
-    """Draws vehicles in what they wear, averaged from samples to pixels (section S2.2).
-
-    Args:
-        seen: of these vehicles.
-        lighting: on each of them.
-        vehicles: give template, texture and parts.
-        settings: light and supersampling.
+    """Draws the textures of seen vehicles, averaged from samples to pixels (section S2.2).
 
     Returns:
-        Per pixel linear colour times coverage (3) and coverage (1).
+        Linear colour times coverage (3) and coverage (1) per pixel.
     """
     visibility, factor = seen.visibility, settings.supersampling
-    # The texture, at the levels that are read.
     finest = int(seen.level.min()) if len(seen.level) else 0
     texture = LinearTexture(vehicles.texture, finest, seen.samples.dtype, vehicles.overlay)
 
@@ -150,7 +123,6 @@ def draw_bodies(
         diffuse, mirrored = light(normal, lighting, vehicle, sunlit, gloss, settings)
         return torch.addcmul(mirrored, albedo, diffuse)
 
-    # Light on the visible samples, averaged to pixels.
     colour = radiance(visibility.vehicle, seen.uv, seen.normal, seen.level, seen.sunlit)
     layers = _average(visibility, colour, factor)
     # What moving silhouettes change; nothing in value.
@@ -216,10 +188,7 @@ def _gloss(
     vehicle: Int[Tensor, " K"],
     settings: RenderSettings,
 ) -> Float[Tensor, "2 _"]:
-    """Returns the gloss of the part at (u, v), or of a camouflage where one covers it.
-
-    It is a single column where a camouflage covers everything.
-    """
+    """Gloss of the part at (u, v) or its camouflage; one column if camouflage covers all."""
     table = gloss_table(settings.gloss).to(uv).t()
     if vehicles.repainted:
         return table[:, CAMOUFLAGE:]
@@ -236,14 +205,7 @@ def _gloss(
 
 @torch.no_grad()
 def _texture_levels(corners: Float[Tensor, "3 2 M"], vehicles: VehicleBatch) -> Int[Tensor, " M"]:
-    """Returns per triangle the pyramid level at which a texel is as long as a sample.
-
-    The direction in which the texture is more squeezed counts.
-
-    Args:
-        corners: of all faces of all vehicles, in samples.
-        vehicles: give template and texture.
-    """
+    """Per triangle the pyramid level whose texel is as long as a sample, the squeezed way."""
     template = vehicles.template
     across, down = corners[1] - corners[0], corners[2] - corners[0]
     area = across[0] * down[1] - across[1] * down[0]
@@ -274,11 +236,7 @@ def _held_weights(
 
 
 class _Interpolated(torch.autograd.Function):
-    """Barycentric means of texture coordinates and of normals, at samples of some triangles.
-
-    A sample takes one look-up for all of it, and the gradient is not worked out for the texture
-    coordinates of corners, nor put together from parts.
-    """
+    """Barycentric means of texture coordinates and normals, with one look-up per sample."""
 
     @staticmethod
     def forward(

@@ -23,14 +23,13 @@ _CLEAR_SHARE = 0.35
 
 @dataclass(frozen=True)
 class SceneLights:
-    """How B pictures show light.
+    """How B pictures show light, linear and per channel.
 
     Attributes:
-        white: what a white matt surface in the open sun is shown as, linear, per channel.
-        black: what a surface that sends nothing is shown as, linear, per channel.
-        shoulder: from where on the picture bends towards its brightest value.
-        sky: the sky's part of the light on open ground, per channel.
-        overcast: which part of the sky's light comes from clouds.
+        white, black: shown values of a white matt surface in the open sun, and of no light.
+        shoulder: value from which the picture bends towards its brightest value.
+        sky: share of the sky in the light on open ground.
+        overcast: share of clouds in the sky's light.
     """
 
     white: Float[Tensor, "B 3"]
@@ -45,12 +44,10 @@ class SceneLights:
         return SceneLights(*(getattr(self, each.name)[single] for each in fields(self)))
 
     def shown(self, light: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 3 H W"]:
-        """Returns how the pictures show light, linear; nothing is clipped.
+        """Returns the shown values of light in units of a white matt surface, linear and not
+        clipped.
 
         Above its shoulder s the camera shows s + (1 - s) tanh((x - s) / (1 - s)) for x.
-
-        Args:
-            light: in units in which a white matt surface on open ground sends 1.
         """
         if self._plain:
             return light
@@ -61,9 +58,9 @@ class SceneLights:
         return torch.where(value > shoulder, torch.where(shoulder < 1, above, value), value)
 
     def received(self, shown: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 3 H W"]:
-        """Returns the light that the pictures show so: the inverse of `shown`, never below 0.
+        """Returns the light behind shown values: the inverse of `shown`, never below 0.
 
-        What is shown as white may have been any brighter; it is taken for little more.
+        A white pixel counts as little brighter than white.
         """
         if self._plain:
             return shown
@@ -88,11 +85,10 @@ class SceneLights:
 
 
 def sky_light(light: Light, overcast: float) -> tuple[tuple[float, float, float], float]:
-    """Computes the sky's part of the light, and which part of that comes from clouds.
+    """Returns the sky's share of the light, and the share of clouds in it.
 
     Args:
-        light: of the photograph.
-        overcast: of the weather: the share of the direct sun that comes from all of the sky.
+        overcast: share of the direct sun that the weather spreads over the sky.
     """
     red, green, blue = (share + (1 - share) * overcast for share in light.sky)
     mean = (red + green + blue) / 3

@@ -18,15 +18,14 @@ from skyproof.vehicles.vehicle import Overlay
 
 
 class LinearTexture:
-    """What textures reflect, as a pyramid of halved sizes, read at the level that fits.
+    """The reflectance of textures, as a pyramid of halved sizes, read at the fitting level.
 
-    A sample that spans several texels must read their mean: that is what keeps a fine pattern, or a
-    side seen at a grazing angle, from turning into sparkle, and its gradient into noise.
+    A sample that spans several texels reads their mean, so that fine patterns neither sparkle nor
+    give noisy gradients.
 
     Args:
         texture: `[T, 3, H, W]` sRGB, as bytes or in [0, 1]; sides are powers of two.
-        finest: the first level worth building; the full map is level 0.
-        overlay: lies on top of `texture`.
+        finest: first level that is read; the full map is level 0.
     """
 
     levels = 7
@@ -55,9 +54,8 @@ class LinearTexture:
     def sample(
         self, uv: Float[Tensor, "2 K"], index: Int[Tensor, " K"], level: Int[Tensor, " K"]
     ) -> Float[Tensor, "3 K"]:
-        """Returns bilinear values at (u, v) of the textures `index` (section S4.3).
-
-        They are circular in u and held at the edge in v.
+        """Bilinear values at (u, v) of the textures `index` (section S4.3), circular in u, held in
+        v.
         """
         shapes = self._shapes
         level = level.clamp(shapes.finest, shapes.levels - 1)
@@ -117,20 +115,13 @@ class _Shapes:
         return views
 
     def some(self, device: torch.device) -> list[slice]:
-        """Which textures to work on at a time.
-
-        On a CPU it is one after the other, as the full maps of a batch together would fall out of
-        every cache; elsewhere it is all at once.
-        """
+        """The textures to work on at a time: one by one on a CPU, whose caches full maps exceed."""
         step = 1 if device.type == "cpu" else self.count
         return [slice(start, start + step) for start in range(0, self.count, step)]
 
 
 class _Pyramid(torch.autograd.Function):
-    """All levels in one piece of memory; the gradient reaches what is shown, if anything is.
-
-    What is shown lies under a mask on the vehicles' own textures, or there is only one of the two.
-    """
+    """All levels in one piece of memory; the gradient reaches the shown texture, under its mask."""
 
     @staticmethod
     def forward(
@@ -234,9 +225,6 @@ def _of_bytes(dtype: torch.dtype, device: torch.device) -> Float[Tensor, 256]:
 
 
 def _halve(level: Tensor, out: Tensor | None = None) -> Tensor:
-    """Takes means of 2 x 2.
-
-    Sums of whole rows are fast; strided sums of columns beat average pooling on a CPU.
-    """
+    """Takes means of 2 x 2; on a CPU these sums beat average pooling."""
     rows = level[..., ::2, :] + level[..., 1::2, :]
     return torch.add(rows[..., ::2], rows[..., 1::2], out=out).mul_(0.25)

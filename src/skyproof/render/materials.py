@@ -1,7 +1,5 @@
 """What each part of a vehicle is made of: one table for both renderers."""
 
-from __future__ import annotations
-
 import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
@@ -37,32 +35,23 @@ _SHARPEST_EXPONENT = 1500.0
 
 
 def reflectance(texture: Float[Tensor, "*S"]) -> Float[Tensor, "*S"]:
-    """Returns what a vehicle's surface reflects where its texture, in linear light, is so bright.
-
-    It holds for camouflage, too: nobody paints blacker than black.
-    """
+    """Returns the reflectance of a surface, camouflaged or not, by its texture in linear light."""
     return _DARKEST + (1 - _DARKEST) * texture
 
 
 def material_table(finish: str = "gloss") -> Float[Tensor, "8 4"]:
-    """Returns the finish of each label, as Blender's Principled BSDF has it.
-
-    It is roughness, clear coat, specular level and the coat's roughness.
-
-    Args:
-        finish: of camouflage: "gloss", under the same clear coat as paint, or "matt".
+    """Returns roughness, clear coat, specular level and the coat's roughness of each label, as in
+    Blender's Principled BSDF; camouflage has the finish "gloss" or "matt".
     """
     return torch.tensor([_FINISHES[part] for part in Part] + [_CAMOUFLAGE[finish]])
 
 
 def gloss_table(share: float = 1.0) -> Float[Tensor, "8 2"]:
-    """Returns what each label mirrors: reflectance at normal incidence, and the glint's exponent.
+    """Returns each label's reflectance at normal incidence (times `share`), and its glint's
+    exponent.
 
     The exponent is that of a Blinn-Phong lobe as wide as the microfacet distribution of the same
     roughness r, 2 / r^4 - 2 (Walter et al. 2007), at most as sharp as samples can show.
-
-    Args:
-        share: of the reflectances.
     """
     rows = []
     for rough, coat, specular, coat_rough in material_table().tolist():
@@ -74,5 +63,7 @@ def gloss_table(share: float = 1.0) -> Float[Tensor, "8 2"]:
 
 def material_labels(vehicles: VehicleBatch) -> UInt8[Tensor, "N 512 512"]:
     """Returns each texel's part, or `CAMOUFLAGE` where it is covered: paint on glass is paint."""
-    covered = vehicles.covered_texels()
-    return vehicles.parts if covered is None else vehicles.parts.masked_fill(covered, CAMOUFLAGE)
+    if vehicles.repainted:
+        return torch.full_like(vehicles.parts, CAMOUFLAGE)
+    over = vehicles.overlay
+    return vehicles.parts if over is None else vehicles.parts.masked_fill(over.mask, CAMOUFLAGE)

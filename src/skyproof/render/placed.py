@@ -1,7 +1,5 @@
 """Vehicles put into their scenes: where they fall in the picture and on the ground, and labels."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -20,20 +18,14 @@ from skyproof.vehicles.vehicle import VehicleBatch
 @dataclass(frozen=True)
 class Placed:
     """The N placements of all scenes, scene by scene; differentiable in the vehicles' vertices.
+    World frame, metres, radians and image pixels.
 
     Attributes:
-        scene: the image each placement is in.
-        vertices: metres, world frame.
         viewer, sun: unit vectors towards camera and sun.
-        ground: where each vehicle stands, metres.
-        heading: radians, from x towards y.
-        extent: the lowest and highest of the vehicle's own x, y and z, metres, vehicle frame.
-        sunlit: the part of the sun's direct light that the photograph's shadows leave it.
-        screen: vertices in image pixels.
-        depth: metres along the view; smaller is nearer.
-        shadow_screen: where the vertices' shadows fall, image pixels.
-        sun_depth: metres along the sun's rays; smaller is nearer to it.
-        gsd_m, size_px: of the images.
+        extent: lowest and highest x, y and z in the vehicle frame.
+        sunlit: share of the direct sun that the photograph's shadows leave.
+        depth, sun_depth: metres along the view and along the sun's rays; smaller is nearer.
+        shadow_screen: shadows of the vertices in image pixels.
     """
 
     scene: Int[Tensor, " N"]
@@ -53,13 +45,7 @@ class Placed:
 
 
 def place(scenes: Sequence[Scene], vehicles: VehicleBatch) -> Placed:
-    """Puts vehicles where their scenes' placements say.
-
-    Args:
-        scenes: all of one image size and ground sampling distance, with at least one placement in
-            all.
-        vehicles: one row per placement, scene by scene.
-    """
+    """Puts vehicles where their scenes' placements say, one row per placement, scene by scene."""
     placements = [placement for scene in scenes for placement in scene.placements]
     if len(placements) != len(vehicles):
         raise ValueError(
@@ -98,15 +84,7 @@ def place(scenes: Sequence[Scene], vehicles: VehicleBatch) -> Placed:
 def visible_samples(
     placed: Placed, faces: Int[Tensor, "F 3"], supersampling: int
 ) -> tuple[Visibility, Windows]:
-    """Returns what every sample sees of each vehicle by itself, and the windows they lie in.
-
-    It serves `label` where no light is needed.
-
-    Args:
-        placed: the vehicles.
-        faces: of their template.
-        supersampling: samples along a pixel's side.
-    """
+    """Returns the visible samples of each vehicle alone, and their windows, for `label`."""
     window = windows_around(placed.screen)
     samples = window.samples(placed.screen, supersampling)
     return rasterise(samples, placed.depth, faces, window.size * supersampling), window
@@ -123,17 +101,7 @@ def label(
     cover: Float[Tensor, "B 1 H W"] | None = None,
     masks: bool,
 ) -> Frames:
-    """Adds boxes, centres, visible parts and masks to images, the same way for every renderer.
-
-    Args:
-        image: as drawn.
-        placed: what it shows.
-        visibility: of the vehicles' samples.
-        window: each vehicle's samples lie in it.
-        supersampling: samples along a pixel's side.
-        cover: the part of each pixel in which the photograph hides the vehicles.
-        masks: also give every vehicle's pixel mask.
-    """
+    """Adds boxes, centres, visible parts and, if wanted, masks to images of any renderer."""
     seen = None if cover is None else cover[placed.scene, 0] < 0.5
     visible_px, fraction, drawn = _visible(
         visibility, window, supersampling, placed.size_px, seen, masks
@@ -165,10 +133,7 @@ def _visible(
     seen: Bool[Tensor, "N H W"] | None,
     masks: bool,
 ) -> tuple[Float[Tensor, " N"], Float[Tensor, " N"], Bool[Tensor, "N H W"] | None]:
-    """Returns visible pixels, their share of all, and the masks.
-
-    Visible is what lies inside the image and, per vehicle, where it is `seen`.
-    """
+    """Visible pixels, their share of all, and masks, of samples inside the image and `seen`."""
     count = len(visibility.keys)
     vehicle = visibility.vehicle
     every = torch.bincount(vehicle, minlength=count)

@@ -1,7 +1,5 @@
 """Close-ups of vehicles on plain ground: for looking, not for measuring."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 
@@ -67,13 +65,11 @@ def portrait(
 ) -> UInt8[Tensor, "3 H W"]:
     """Draws a sheet of one column per body type, as built and camouflaged, from above and aslant.
 
-    Every picture shows the same square of ground: 6 m a side, or more where a changed body is
-    longer.
+    Every picture shows the same square of ground: 6 m a side, or more for longer bodies.
 
     Args:
-        fleet: the first vehicle of each body type is shown.
-        camouflage: what they wear below.
-        body_types: at most four, in this order; None takes those the fleet has.
+        fleet: shows the first vehicle of each body type.
+        body_types: at most four, in this order; the default is those of the fleet.
     """
     first: dict[str, str] = {}
     for name in fleet.ids:

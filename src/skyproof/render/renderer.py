@@ -1,10 +1,7 @@
 """The differentiable renderer: vehicles onto orthophotos, in plain PyTorch (section 3.1)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
-from functools import partial
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import torch
@@ -29,28 +26,35 @@ from skyproof.scenes.scene import BackgroundWindow, Scene
 from skyproof.scenes.sensor import Sensor
 from skyproof.vehicles.vehicle import VehicleBatch
 
-_Read = TypeVar("_Read")
+_Value = TypeVar("_Value")
 
 
 @runtime_checkable
 class Backgrounds(Protocol):
-    """Where the renderer takes its photographs from."""
+    """A source of photographs, as `BackgroundSet` is."""
 
     def window(self, window: BackgroundWindow, size_px: int) -> Float[Tensor, "3 H W"]:
         """A square window, sRGB in [0, 1]."""
-        ...
 
     def sensor_of(self, window: BackgroundWindow) -> Sensor:
-        """What took it."""
-        ...
+        """The sensor of its photograph."""
 
     def light_of(self, window: BackgroundWindow) -> Light:
-        """How it shows light."""
-        ...
+        """The light of its photograph."""
 
     def cover_of(self, window: BackgroundWindow, size_px: int) -> Float[Tensor, "H W"] | None:
-        """The part of each pixel of a window that crowns and roofs cover; None without any."""
-        ...
+        """The share of each pixel under crowns and roofs; None without any."""
+
+
+def _read(scenes: Sequence[Scene], read: Callable[[Scene], _Value]) -> list[_Value]:
+    """Reads from the background set for each scene; an error names the scene."""
+    found = []
+    for scene in scenes:
+        try:
+            found.append(read(scene))
+        except StoredFileError as error:
+            raise StoredFileError(f"The scene {scene.id} lacks its background: {error}") from error
+    return found
 
 
 def photographs(
@@ -61,51 +65,31 @@ def photographs(
     Raises:
         StoredFileError: the background set lacks a scene's background; names the scene.
     """
-    windows = [
-        _of_scene(scene, partial(backgrounds.window, size_px=scene.camera.size_px))
-        for scene in scenes
-    ]
+    windows = _read(scenes, lambda s: backgrounds.window(s.background, s.camera.size_px))
     return torch.stack(windows).to(device)
-
-
-def _of_scene(scene: Scene, read: Callable[[BackgroundWindow], _Read]) -> _Read:
-    try:
-        return read(scene.background)
-    except StoredFileError as error:
-        raise StoredFileError(f"The scene {scene.id} lacks its background: {error}") from error
 
 
 def sensors(
     backgrounds: Backgrounds, scenes: Sequence[Scene], settings: RenderSettings
 ) -> list[Sensor]:
-    """What shows the vehicles of each scene: that of its photograph, where nothing else is set.
-
-    Raises:
-        StoredFileError: the background set lacks a scene's background; names the scene.
-    """
-    return [
-        settings.sensor_on(_of_scene(scene, backgrounds.sensor_of), scene.camera.gsd_m)
-        for scene in scenes
-    ]
+    """The sensor of the vehicles in each scene: the settings', else the photograph's."""
+    found = _read(scenes, lambda scene: backgrounds.sensor_of(scene.background))
+    gsds_m = [scene.camera.gsd_m for scene in scenes]
+    return [settings.sensor_on(each, gsd_m) for each, gsd_m in zip(found, gsds_m, strict=True)]
 
 
 def photographed_lights(
     backgrounds: Backgrounds, scenes: Sequence[Scene], settings: RenderSettings
 ) -> list[Light]:
-    """How the vehicles of each scene are lit: as its photograph, where nothing else is set.
-
-    Raises:
-        StoredFileError: the background set lacks a scene's background; names the scene.
-    """
-    return [settings.light or _of_scene(scene, backgrounds.light_of) for scene in scenes]
+    """The light on the vehicles in each scene: the settings', else the photograph's."""
+    return _read(scenes, lambda scene: settings.light or backgrounds.light_of(scene.background))
 
 
 def sensor_record(
     backgrounds: Backgrounds, scenes: Sequence[Scene], settings: RenderSettings
 ) -> dict[str, float | list[float]]:
-    """Blur and noise of vehicles in these scenes, as plain JSON values.
-
-    Each is one number, or the list of all that occur, from the smallest on.
+    """Blur and noise of vehicles in these scenes as JSON: a number, or the sorted list of all
+    values.
     """
     used = set(sensors(backgrounds, scenes, settings))
     record: dict[str, float | list[float]] = {}
@@ -118,19 +102,17 @@ def sensor_record(
 class TorchRenderer:
     """Draws vehicles onto photographs, differentiably in their texture and their vertices.
 
-    Every vehicle and its shadow are rendered in small windows of their own, at `supersampling`
-    samples a pixel side, shaded by sun and sky, averaged to pixels, blurred as the photograph is,
-    and laid over it in linear light (section S2).
+    Every vehicle and its shadow are rendered in a small window at `supersampling` samples a pixel
+    side, shaded by sun and sky, averaged to pixels, blurred as the photograph is, and laid over it
+    in linear light (section S2).
 
     Differences from the paper: the camera is the orthophoto's own parallel projection (see
-    `Camera`), not a perspective one at a distance that the paper does not give; there is a cast
-    shadow; light adds up linearly; the photograph is hidden by blurred coverage (see `composite`);
-    noise is added where something was rendered; a scene's weather changes light, ground and picture
-    (see `skyproof.render.weather`).
+    `Camera`). There is a cast shadow. Light adds up linearly. Blurred coverage hides the photograph
+    (see `composite`). Rendered pixels get noise. Weather changes light, ground and picture.
 
-    Vertex gradients hold for a fixed set of visible triangles plus moving silhouettes, of the body
-    and of its shadow; which samples a body shades is taken as it is. Vehicles cast no shadow on
-    each other; masks and visible pixels ignore that one may hide another.
+    Vertex gradients hold for a fixed set of visible triangles plus moving silhouettes of body and
+    shadow, with the samples in self-shadow fixed. Vehicles cast no shadow on each other. Masks and
+    visible pixels ignore that one may hide another.
     """
 
     name = "torch"
@@ -152,12 +134,10 @@ class TorchRenderer:
     def __call__(
         self, scenes: Sequence[Scene], vehicles: VehicleBatch, *, masks: bool = False
     ) -> Frames:
-        """Draws one image per scene.
+        """Draws one image per scene, all of one size and resolution.
 
         Args:
-            scenes: all of one image size and ground sampling distance.
             vehicles: one row per placement, scene by scene.
-            masks: also give every vehicle's pixel mask.
         """
         if not len(vehicles):
             return nothing_placed(
@@ -200,7 +180,7 @@ class TorchRenderer:
         return wet_grounds(photographs(self.backgrounds, scenes, vehicles.vertices.device), scenes)
 
     def _look(self, scenes: Sequence[Scene], vehicles: VehicleBatch) -> GeometryBuffer:
-        """Works out all that does not depend on what the vehicles wear."""
+        """Works out everything but the vehicles' textures."""
         settings, faces = self.settings, vehicles.template.faces
         placed = place(scenes, vehicles)
         window = windows_around(placed.screen)
@@ -224,13 +204,7 @@ class TorchRenderer:
             placed=placed,
             window=window,
             bodies=see_bodies(
-                window,
-                placed.screen,
-                placed.depth,
-                placed.vertices,
-                vehicles,
-                sun if settings.self_shadows else None,
-                settings,
+                window, placed, vehicles, sun if settings.self_shadows else None, settings
             ),
             shadows=Layers(cast, shadows),
             lights=lights,

@@ -1,7 +1,5 @@
 """What the sensor does to rendered light: blur, and noise that is tied to image pixels."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import torch
@@ -25,9 +23,7 @@ def blurred(
     """Returns parts of square pictures under their sensors' Gaussian blur, zero beyond their ends.
 
     Args:
-        pictures: linear light or coverage.
-        sensors: one per picture.
-        corner: the top-left pixel (x, y) of each part; it may lie outside of the picture.
+        corner: top-left pixel (x, y) of each part, which may lie outside the picture.
         shape: width and height of all parts.
     """
     radius_px = max(sensor.blur_radius_px for sensor in sensors)
@@ -97,15 +93,10 @@ def sensor_noise(
     x: Int[Tensor, "B S"],
     like: Float[Tensor, "B 3 S S"],
 ) -> Float[Tensor, "B 3 S S"]:
-    """Returns unit noise on windows of images, from every scene's own seed.
-
-    It is tied to image pixels, and so the same whatever else is in the batch.
+    """Returns unit noise on windows of images, tied to every scene's seed and to image pixels.
 
     Args:
-        seeds: one per image.
-        y: rows of the image that the window's rows show.
-        x: columns likewise.
-        like: decides device and type.
+        y, x: rows and columns of the image in each window.
     """
     shape = (3, _NOISE_TILE_PX, _NOISE_TILE_PX)
     drawn = [torch.randn(shape, generator=torch.Generator().manual_seed(seed)) for seed in seeds]

@@ -1,7 +1,5 @@
 """What the renderer can be told: light, material and sensor."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Annotated
@@ -27,15 +25,14 @@ class RenderSettings:
     Attributes:
         supersampling: samples along a pixel's side (section S2.2); below 3 the silhouette gradients
             suffer.
-        shadow_supersampling: the same for the cast shadow, on the ground and on the vehicle itself.
-        blur_sigma_px: Gaussian blur of vehicles and shadows (section S2.1); None for that of the
-            ground under them, and what the roundness of real edges adds to it.
-        noise: standard deviation of the sensor noise on rendered pixels, in sRGB units; a
-            photograph has its own. None for that of the ground under them.
-        light: exposure, haze and sky that vehicles are drawn in; None for those of the ground
-            under them.
-        self_shadows: vehicles shade themselves from the sun.
-        gloss: the share of what glass and clear coats mirror that vehicles do mirror; 0 is matt.
+        shadow_supersampling: the same for cast shadows, on the ground and on the vehicle itself.
+        blur_sigma_px: Gaussian blur of vehicles and shadows (section S2.1); the default is the
+            ground's, plus that of rounded edges.
+        noise: standard deviation of the sensor noise on rendered pixels, sRGB units; the default is
+            the ground's.
+        light: exposure, haze and sky on vehicles; the default is the ground's.
+        self_shadows: whether vehicles shade themselves from the sun.
+        gloss: share of the reflections of glass and clear coats; 0 is matt.
         ground_reflectance: mean albedo of the ground, which lights surfaces that face down.
     """
 
@@ -52,12 +49,7 @@ class RenderSettings:
         check_ranges(self)
 
     def sensor_on(self, ground: Sensor, gsd_m: float) -> Sensor:
-        """Returns what shows vehicles on ground that the given sensor took.
-
-        Args:
-            ground: its blur and noise.
-            gsd_m: metres per pixel.
-        """
+        """Returns the sensor for vehicles on ground that the given sensor took."""
         as_the_ground = math.hypot(ground.blur_sigma_px, _ROUNDING_M / gsd_m)
         return Sensor(
             round(as_the_ground, 3) if self.blur_sigma_px is None else self.blur_sigma_px,

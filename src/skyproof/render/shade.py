@@ -1,7 +1,5 @@
 """Light on visible samples: sun, sky, light from the ground, and what gloss mirrors."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch
@@ -25,16 +23,14 @@ _DARKEST_LOG = -80.0
 
 @dataclass(frozen=True)
 class Lighting:
-    """The light on each of N vehicles, in units in which a white matt surface on open ground is 1.
+    """The light on each of N vehicles, in units of a white matt surface on open ground.
 
     Attributes:
-        sun: unit vectors towards the sun.
-        viewer: unit vectors towards the camera.
-        sky: the sky's part of the light on open ground, red, green, blue.
-        overcast: which part of the sky's light comes from clouds, 0 to 1.
-        sunlit: the part of the sun's direct light that reaches the vehicle: less than 1 where it
-            stands in a shadow of the photograph.
-        clear_mean: mean luminance of the clear sky, by which its directions are scaled.
+        sun, viewer: unit vectors towards sun and camera.
+        sky: share of the sky in the light on open ground, red, green, blue.
+        overcast: share of clouds in the sky's light.
+        sunlit: share of the direct sun that the photograph's shadows leave.
+        clear_mean: mean luminance of the clear sky.
     """
 
     sun: Float[Tensor, "N 3"]
@@ -53,25 +49,19 @@ def light(
     gloss: Float[Tensor, "2 _"],
     settings: RenderSettings,
 ) -> tuple[Float[Tensor, "3 K"], Float[Tensor, "3 K"]]:
-    """How much light falls on a surface and how much its gloss mirrors, per channel.
+    """Returns the diffuse light on a surface, and the radiance that its gloss mirrors, per channel.
 
-    Units: a white matt surface lying on open ground sends 1 in every channel, whatever the sun's
-    elevation, because the photograph's exposure was set for its own light. Diffuse radiance is
-    albedo * diffuse; the mirrored part is added to it. What the gloss mirrors does not reach the
-    paint (Fresnel towards the viewer, as path tracers layer a coat).
+    A white matt surface on open ground sends 1 in every channel at any elevation of the sun,
+    because the exposure was set for its light. Radiance is albedo * diffuse + mirrored. The
+    mirrored light does not reach the paint (Fresnel towards the viewer, as path tracers layer a
+    coat).
 
     Args:
         normal: unit normals, world axes.
-        lighting: a row for each vehicle.
-        vehicle: which of them each sample is on.
-        sunlit: which part of the sun's light its own vehicle lets through to it, of each sample or
-            one for all.
-        gloss: reflectance at normal incidence and exponent of the glint, as `gloss_table` has them,
-            of each sample or one for all.
-        settings: the ground's reflectance, and the gloss.
-
-    Returns:
-        The diffuse factor and the mirrored radiance.
+        vehicle: row of `lighting` for each sample.
+        sunlit: share of the sun's light that its own vehicle lets through, per sample or one for
+            all.
+        gloss: columns of `gloss_table`, per sample or one for all.
     """
     # The sun's light across its rays, and the light that ground around sends back.
     direct = (1 - lighting.sky) * lighting.sunlit
@@ -89,7 +79,6 @@ def light(
     # The more a surface faces down, the more of the ground before it is the vehicle's own shadow.
     # Squared, so that gradients do not jump at level normals.
     ground = ground * (1 - normal[2].clamp(max=0.0).square())
-    # Matt: sun, open sky above, ground below.
     towards_sun = (normal * sun).sum(0)
     facing_sun = towards_sun.clamp(min=0.0)
     sunny = facing_sun * sunlit

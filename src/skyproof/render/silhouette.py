@@ -1,7 +1,5 @@
 """Gradients at silhouettes: a moving edge covers more or less of a pixel, unseen by sampling."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch
@@ -17,16 +15,15 @@ class SilhouettePoints:
     """Points along all visible silhouettes, one for every piece of at most a sample's length.
 
     The exact derivative of an area-sampled picture is the integral, along its silhouettes, of the
-    colour inside less the colour outside times the edge's outward speed. These points are that
-    integral's midpoint rule.
+    colour inside less the colour outside times the edge's outward speed. These points are its
+    midpoint rule.
 
     Attributes:
-        place: `[2, K]` the point itself, in samples.
-        vehicle, face: `[K]` the front-facing triangle that ends at this edge.
+        place: `[2, K]` points in samples.
+        vehicle, face: `[K]` front-facing triangle that ends at the edge.
         weights: `[3, K]` barycentric weights of the point in that triangle.
         outside: `[K]` flat index of the sample just outside the edge.
-        coverage: `[K]` zero in value; its derivative is the area, in samples, that the piece
-            sweeps.
+        coverage: `[K]` zero in value; its derivative is the area in samples that the piece sweeps.
     """
 
     place: Float[Tensor, "2 K"]
@@ -45,9 +42,9 @@ def silhouette_points(
 ) -> SilhouettePoints:
     """Finds the visible silhouettes of closed meshes; arguments as for `rasterise`.
 
-    A piece is visible where the sample just outside it is farther away than the edge, or empty. The
-    colour inside is to be taken at the edge itself, in its own triangle: such triangles are often
-    thinner than a sample, so that the nearest sample inside may show something else.
+    A piece is visible if the sample just outside it is farther than the edge, or empty. The colour
+    inside is that of its own triangle at the edge, because the nearest sample inside a thin
+    triangle may show something else.
     """
     edges, edge_faces = mesh_edges(faces)
     size = visibility.keys.shape[-1]

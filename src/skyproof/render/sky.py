@@ -1,7 +1,5 @@
 """The sky's brightness over its directions, as the ISO standard for daylight has it."""
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 
@@ -27,12 +25,8 @@ def relative_luminance(
     """Computes the luminance of the CIE standard general sky, up to a common factor.
 
     (1 + a exp(b / cos Z)) (1 + c (exp(d x) - exp(d pi / 2)) + e cos^2 x), with the zenith distance
-    Z and the distance from the sun x.
-
-    Args:
-        kind: the type's coefficients.
-        up: cosine of the zenith distance; at and below the horizon that of the horizon.
-        towards_sun: cosine of the distance from the sun.
+    Z and the distance from the sun x. `up` and `towards_sun` are the cosines; below the horizon
+    `up` is that of the horizon.
     """
     a, b, c, d, e = kind
     gradation = 1 + a * torch.exp(b / up.clamp(min=_LOWEST))
@@ -45,11 +39,8 @@ def relative_luminance(
 
 @lru_cache(maxsize=256)
 def mean_luminance(kind: SkyType, sun_elevation_deg: int) -> float:
-    """Computes the luminance of an even sky that would light level ground as much.
-
-    Args:
-        kind: the type's coefficients.
-        sun_elevation_deg: whole degrees, so that few are worked out.
+    """Computes the luminance of an even sky that lights level ground as much; whole degrees for few
+    calls.
     """
     rows = torch.arange(_ROWS, dtype=torch.float64)
     columns = torch.arange(_COLUMNS, dtype=torch.float64)

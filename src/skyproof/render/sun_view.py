@@ -1,7 +1,5 @@
 """What the sun sees of vehicles: the rest of them, and of the ground, lies in their shadow."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch
@@ -24,11 +22,7 @@ class SunView:
     """Vehicles as the sun sees them, projected along its rays onto the ground: a shadow map.
 
     Attributes:
-        placed: the vehicles.
-        window: around the shadow of each.
-        factor: samples along a pixel's side.
-        samples: where the vertices' shadows fall, in samples of the windows.
-        visibility: which face each of these samples sees.
+        samples: shadows of the vertices in samples of the windows.
     """
 
     placed: Placed
@@ -39,23 +33,13 @@ class SunView:
 
     @torch.no_grad()
     def places(
-        self,
-        vertices: Float[Tensor, "N V 3"],
-        normals: Float[Tensor, "N V 3"],
-        faces: Int[Tensor, "F 3"],
+        self, normals: Float[Tensor, "N V 3"], faces: Int[Tensor, "F 3"]
     ) -> Float[Tensor, "3 3 M"]:
-        """Gives the three corners of all faces of all vehicles, a little off the surface.
-
-        Args:
-            vertices: metres, world frame.
-            normals: unit normals there.
-            faces: of their template.
-
-        Returns:
-            Column and row, in samples of the windows, and metres along the sun's rays.
+        """Gives column, row and depth along the sun's rays of all faces' corners, a little off the
+        surface.
         """
         placed = self.placed
-        off = torch.add(vertices, normals, alpha=_OFF_SURFACE_M)
+        off = torch.add(placed.vertices, normals, alpha=_OFF_SURFACE_M)
         screen, depth = project(off, placed.sun, placed.gsd_m, placed.size_px)
         samples = self.window.samples(screen, self.factor)
         return at_corners(torch.cat((samples, depth[..., None]), dim=2), faces)
@@ -64,13 +48,10 @@ class SunView:
     def reaches(
         self, place: Float[Tensor, "3 K"], vehicle: Int[Tensor, " K"]
     ) -> Float[Tensor, " K"]:
-        """Says which points of vehicles' surfaces the sun sees: 1, or 0 behind another part.
+        """Says which points, given between corners of `places`, the sun sees: 1, or 0 behind a
+        part.
 
         After Williams (1978), with the points taken off the surface along their normals.
-
-        Args:
-            place: between corners of `places`.
-            vehicle: which vehicle each is on.
         """
         wide = self.window.size * self.factor
         x, y = place[:2].floor().long().clamp(0, wide - 1)
@@ -81,14 +62,7 @@ class SunView:
 def see_from_sun(
     window: Windows, placed: Placed, faces: Int[Tensor, "F 3"], factor: int
 ) -> SunView:
-    """Looks at vehicles as the sun does.
-
-    Args:
-        window: around the shadow of each.
-        placed: the vehicles.
-        faces: of their template.
-        factor: samples along a pixel's side.
-    """
+    """Looks at vehicles as the sun does, with `factor` samples along a pixel's side."""
     samples = window.samples(placed.shadow_screen, factor)
     seen = rasterise(samples.detach(), placed.sun_depth.detach(), faces, window.size * factor)
     return SunView(placed, window, factor, samples, seen)

@@ -1,7 +1,5 @@
 """A sheet of wrapped vehicles beside the meshes they come from: for looking, not for measuring."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 
@@ -37,12 +35,8 @@ Colours = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def turntable_row(mesh: SourceMesh, vehicles: VehicleBatch, caption: str) -> UInt8[Tensor, "3 H W"]:
-    """Draws one vehicle beside its mesh, each from above, the side and aslant, and its maps.
-
-    Args:
-        mesh: in the vehicle's axes.
-        vehicles: one vehicle.
-        caption: one line above the row.
+    """Draws one vehicle and its mesh in the vehicle's axes from above, the side and aslant, and its
+    maps.
     """
     texture = (vehicles.worn_texture()[0].permute(1, 2, 0).double() / 255).numpy()
     labels = np.array(list(PART_COLOURS.values()))[vehicles.parts[0].numpy()] / 255

@@ -1,7 +1,5 @@
 """A scene's weather: wet ground and sky before vehicles are drawn, the rest after (section S7)."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Sequence
 from typing import Any
@@ -38,10 +36,9 @@ def wet_grounds(
 def wet(ground: Float[Tensor, "*S"], wetness: float) -> Float[Tensor, "*S"]:
     """Returns reflectance under a film of water: a / (a + n^2 (1 - a)), n = 1.33 (Ångström 1925).
 
-    Light that leaves the ground is partly thrown back by the water's surface and meets the ground
-    again. Dark ground keeps 0.56 to 0.7 of its light (asphalt of 0.1: 0.59; sand of 0.4: 0.68),
-    white ground all of it; a channel that was darker loses more, so colours deepen. The
-    photograph's value stands for the reflectance: white is 1.
+    The water's surface throws a part of the light back to the ground. Dark ground keeps 0.56 to 0.7
+    of its light (asphalt of 0.1: 0.59; sand of 0.4: 0.68), white ground all of it. Darker channels
+    lose more, so colours deepen. The photograph's value stands for the reflectance.
     """
     darkened = ground / (ground + _WATER_INDEX**2 * (1 - ground))
     return torch.lerp(ground, darkened, wetness)
@@ -50,12 +47,10 @@ def wet(ground: Float[Tensor, "*S"], wetness: float) -> Float[Tensor, "*S"]:
 def finish_images(
     images: Float[Tensor, "B 3 H W"], scenes: Sequence[Scene]
 ) -> Float[Tensor, "B 3 H W"]:
-    """Lays haze, exposure, noise and JPEG, in this order, over everything in the picture.
+    """Lays haze, exposure, noise and JPEG, in this order, over pictures; clear ones keep their
+    bits.
 
-    Clear pictures keep their bits.
-
-    Differentiable; where exposure or noise clips a pixel its gradient is zero, as the picture's own
-    is.
+    Differentiable; the gradient of a pixel that exposure or noise clips is zero.
     """
     if not any(_finishes(scene.weather) for scene in scenes):
         return images
@@ -69,8 +64,7 @@ def finish_images(
 def jpeg(image: Float[Tensor, "3 H W"], quality: int) -> Float[Tensor, "3 H W"]:
     """The picture after a real JPEG of this quality (Pillow, colour at half resolution as usual).
 
-    Its gradient is passed straight through, as if JPEG changed nothing: rounding of coefficients
-    has none of its own.
+    Its gradient passes straight through.
     """
     return _Jpeg.apply(image, quality)
 

@@ -1,7 +1,5 @@
 """Squares of pixels, one around each vehicle, in which it is drawn by itself."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch
@@ -11,12 +9,7 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class Windows:
-    """One square of whole pixels per vehicle, all of one size; they may reach beyond the image.
-
-    Attributes:
-        origin: `[N, 2]` top-left pixel (x, y).
-        size: S, pixels.
-    """
+    """One square of whole pixels per vehicle from its top-left pixel (x, y) on, all of one size."""
 
     origin: Int[Tensor, "N 2"]
     size: int

@@ -1,7 +1,5 @@
 """The index of a background set: its tiles, and the sensor of the photographs."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -36,22 +34,15 @@ class BackgroundTile:
 
     Attributes:
         id: unique in the set; the cluster of the bootstrap.
-        file: path inside the folder.
-        split: purpose of the tile.
-        width_px, height_px: size of the tile.
+        file: path inside the folder, like those of the maps.
         source: source image, or "procedural".
-        offset_px: left and top edge in the grid of tiles, in pixels of the set's resolution.
+        offset_px: left and top edge in the grid of tiles, in pixels.
         kind: content of a procedural tile.
-        licence: licence that the source states, or None.
-        sensor: sensor of this tile, if it is not the set's.
-        light: light of this tile, if it is not the set's.
+        sensor, light: those of this tile, if they are not the set's.
         removed: vehicles that stood on it before it was cleared.
-        drivable: path inside the folder of the map of places for vehicles
-            (`skyproof.scenes.directions`); None if there are none or they are not known.
-        shade: path inside the folder of the map of its shadows: they take v / 255 of the direct sun
-            from the ground there. None if there are none or they are not known.
-        cover: path inside the folder of the map of crowns, roofs and other cover: v / 255 of each
-            pixel. None if there is none or it is not known.
+        drivable: map of places for vehicles (`skyproof.scenes.directions`), or None.
+        shade: map of shadows, which take v / 255 of the direct sun from the ground; or None.
+        cover: map of crowns, roofs and other cover, v / 255 of each pixel; or None.
     """
 
     id: Name
@@ -79,10 +70,7 @@ class BackgroundTile:
 
 @dataclass(frozen=True)
 class BackgroundIndex:
-    """The content of `index.json`.
-
-    Old sets name no sensor: vehicles on them had the paper's blur.
-    """
+    """The content of `index.json`; without a sensor vehicles have the paper's blur."""
 
     format_version: Literal[1]
     gsd_m: GroundResolution
@@ -137,11 +125,7 @@ def save_map(
     tile_id: str,
     values: UInt8[np.ndarray, "H W"],
 ) -> str | None:
-    """Writes one of a tile's maps, as `BackgroundTile` defines it, whole or not at all.
-
-    Returns:
-        Its file inside the folder; None, without a file, if the map is 0 everywhere.
-    """
+    """Writes one of a tile's maps, returns its file, or None if it is all 0."""
     if not values.any():
         return None
     file = f"{kind}/{tile_id}.png"

@@ -44,18 +44,13 @@ class BackgroundSet:
         self.sensor = sensor or Sensor()
         self.light = light or Light()
         self._tiles = {tile.id: tile for tile in tiles}
-        # By file.
         self._decoded: OrderedDict[str, UInt8[Tensor, ...]] = OrderedDict()
         # Several threads may draw on one set.
         self._decoding = Lock()
 
     @classmethod
     def open(cls, folder: str | Path) -> BackgroundSet:
-        """Opens a set that `write_procedural_backgrounds` or `tile_imagery` wrote.
-
-        Raises:
-            StoredFileError: as `read_index`.
-        """
+        """Opens a set that `write_procedural_backgrounds` or `tile_imagery` wrote."""
         folder = Path(folder)
         index = read_index(folder)
         return cls(folder, index.gsd_m, index.tiles, index.sensor, index.light)
@@ -82,39 +77,20 @@ class BackgroundSet:
         return self._tiles[tile_id]
 
     def sensor_of(self, window: BackgroundWindow) -> Sensor:
-        """The sensor of a window's photograph; vehicles are rendered with it.
-
-        Raises:
-            StoredFileError: the window's tile is not in this set.
-        """
+        """The sensor of a window's photograph."""
         return self.tile(window.tile).sensor or self.sensor
 
     def light_of(self, window: BackgroundWindow) -> Light:
-        """The light of a window's photograph; vehicles on it are lit alike.
-
-        Its sun is in the tile's axes, not the window's.
-
-        Raises:
-            StoredFileError: the window's tile is not in this set.
-        """
+        """The light of a window's photograph; its sun is in the tile's axes, not the window's."""
         return self.tile(window.tile).light or self.light
 
     def pixels(self, tile_id: str) -> UInt8[Tensor, "3 H W"]:
-        """A whole tile, sRGB bytes.
-
-        Raises:
-            StoredFileError: the tile's file is missing, damaged or of another size than in the
-                index.
-        """
+        """A whole tile, sRGB bytes; StoredFileError if its file is missing or damaged."""
         tile = self.tile(tile_id)
         return self._kept(tile.file, lambda: self._decode(tile, tile.file))
 
     def directions(self, tile_id: str) -> UInt8[Tensor, "H W"] | None:
-        """A tile's map of drivable ground, see `skyproof.scenes.directions`; None without one.
-
-        Raises:
-            StoredFileError: the map's file is missing, damaged or no such map.
-        """
+        """A tile's map of drivable ground, see `skyproof.scenes.directions`; or None."""
         file = self.tile(tile_id).drivable
         directions = self._map(tile_id, file)
         if directions is not None and int(directions.max()) > DIRECTIONS:
@@ -125,19 +101,11 @@ class BackgroundSet:
         return directions
 
     def shade(self, tile_id: str) -> UInt8[Tensor, "H W"] | None:
-        """A tile's map of shadows, see `BackgroundTile.shade`; None without one.
-
-        Raises:
-            StoredFileError: the map's file is missing or damaged.
-        """
+        """A tile's map of shadows, see `BackgroundTile.shade`; or None."""
         return self._map(tile_id, self.tile(tile_id).shade)
 
     def cover(self, tile_id: str) -> UInt8[Tensor, "H W"] | None:
-        """A tile's map of cover, see `BackgroundTile.cover`; None without one.
-
-        Raises:
-            StoredFileError: the map's file is missing or damaged.
-        """
+        """A tile's map of cover, see `BackgroundTile.cover`; or None."""
         return self._map(tile_id, self.tile(tile_id).cover)
 
     def _map(self, tile_id: str, file: str | None) -> UInt8[Tensor, "H W"] | None:
@@ -165,9 +133,7 @@ class BackgroundSet:
         return torch.from_numpy(array).permute(2, 0, 1).contiguous()
 
     def window(self, window: BackgroundWindow, size_px: int) -> Float[Tensor, "3 size_px size_px"]:
-        """Cuts a square window, sRGB in [0, 1].
-
-        On whole pixels and with quarter turns it is an exact copy, else bilinear.
+        """Cuts a square window, sRGB in [0, 1]: an exact copy on whole pixels, else bilinear.
 
         Raises:
             StoredFileError: the window's tile is not in this set, or the window reaches out of it.
@@ -177,11 +143,7 @@ class BackgroundSet:
     def cover_of(
         self, window: BackgroundWindow, size_px: int
     ) -> Float[Tensor, "size_px size_px"] | None:
-        """Cuts the map of cover as `window` cuts the photograph, in [0, 1]; None without a map.
-
-        Raises:
-            StoredFileError: as `window` and `cover`.
-        """
+        """Cuts the map of cover as `window` cuts the photograph, in [0, 1]; or None."""
         cover = self.cover(window.tile)
         return None if cover is None else self._cut(cover[None], window, size_px)[0]
 
@@ -262,11 +224,7 @@ class BackgroundSet:
         return self.sample_window_on(tile, size_px, generator=generator)
 
     def window_tiles(self, split: str, size_px: int) -> list[BackgroundTile]:
-        """The tiles of a split for windows: those with room to turn, if there are any.
-
-        Raises:
-            ConfigurationError: no tile of the split is as large as the window.
-        """
+        """The tiles of a split for windows: those with room to turn, if there are any."""
         fitting = [
             tile for tile in self.tiles(split) if min(tile.width_px, tile.height_px) >= size_px
         ]
@@ -282,8 +240,8 @@ class BackgroundSet:
     ) -> BackgroundWindow:
         """Draws a rotation, and a place with the window fully inside a tile that is large enough.
 
-        If the tile has no room for a window turned by 45 degrees, such as one of its own size, the
-        window turns by quarters only and lies on whole pixels, so that it copies the tile's pixels.
+        On a tile without room for a window turned by 45 degrees the window turns by quarters and
+        lies on whole pixels, so that it copies the tile's pixels.
         """
         turn, x, y = torch.rand(3, dtype=torch.float64, generator=generator).tolist()
         if not _has_room_to_turn(tile, size_px):
@@ -306,10 +264,7 @@ class BackgroundSet:
 def on_tile(
     window: BackgroundWindow, east_px: Float[Tensor, "*S"], north_px: Float[Tensor, "*S"]
 ) -> tuple[Float[Tensor, "*S"], Float[Tensor, "*S"]]:
-    """Returns column and row on the tile of points of a scene, in pixels from its middle.
-
-    `BackgroundSet.window` turns its pixels in the same way.
-    """
+    """Returns column and row on the tile of points of a scene, in pixels from its middle."""
     cosine = math.cos(window.rotation_rad)
     sine = math.sin(window.rotation_rad)
     column = window.centre_x_px + cosine * east_px - sine * north_px

@@ -31,10 +31,9 @@ def direction_values(heading_rad: _Grid) -> UInt8[np.ndarray, ...]:
 def with_room(
     directions: UInt8[np.ndarray, "H W"], free: Bool[np.ndarray, "H W"], pixel_m: float
 ) -> UInt8[np.ndarray, "H W"]:
-    """Keeps the places with room for a vehicle: three discs in a row along its heading.
+    """Keeps the places with room for a vehicle of 4.5 m x 1.7 m: three discs along its heading.
 
-    A car of 4.5 m x 1.7 m fits, and the row is 5.3 m x 2.5 m. `free` is ground without obstacles;
-    nothing beyond the map is free.
+    `free` is ground without obstacles. Nothing beyond the map is free.
     """
     rows, columns = np.nonzero(directions)
     distance_m = pixel_m * ndimage.distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1]

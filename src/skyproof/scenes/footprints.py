@@ -1,7 +1,5 @@
 """The rectangles of ground below vehicles, and their overlaps."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 

@@ -1,7 +1,5 @@
 """How a photograph shows light: exposure and haze, the sky's share of the light, and the sun."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Annotated, SupportsFloat
@@ -31,8 +29,7 @@ class SunEstimate:
         azimuth_rad: direction towards the sun in the ground plane, from x (right in the tile)
             towards y (up).
         elevation_rad: angle above the horizon.
-        azimuth_sd_rad: standard deviation of the azimuth's error.
-        elevation_sd_rad: standard deviation of the elevation's error.
+        azimuth_sd_rad, elevation_sd_rad: standard deviations of the errors.
         known_from: short source, such as "shadows of 41 vehicles" or "date and time".
     """
 
@@ -55,14 +52,13 @@ class SunEstimate:
 class Light:
     """How a photograph shows light. The default is the renderer's own: a clear day, well exposed.
 
-    All triples are linear red, green and blue, in units of the picture: 1 is its brightest possible
-    value.
+    Triples are linear red, green and blue; 1 is the picture's brightest possible value.
 
     Attributes:
         white: value of a white matt surface in the open sun; above 1 it burns out.
         black: value of a surface that sends no light: haze, stray light, raised blacks.
         shoulder: brightness from which the picture bends towards its brightest value instead of
-            clipping there, as film and most cameras do; 1 is plain clipping.
+            clipping, as in most cameras; 1 is plain clipping.
         sky: the sky's share of the light on open ground, which remains in a wide shadow; 1 is an
             overcast sky without any sun.
         sun: place of the sun; None if not known.

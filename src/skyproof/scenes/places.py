@@ -1,7 +1,5 @@
 """Choices of places for vehicles, and the vehicles removed from a tile. Imports no torch."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -26,13 +24,9 @@ class RemovedVehicle:
     """The place and heading of a vehicle that was removed from a tile.
 
     Attributes:
-        x_px: middle in tile pixels from the left edge, continuous.
-        y_px: middle in tile pixels from the top edge.
+        x_px, y_px: middle in tile pixels from the top-left corner, continuous.
         heading_rad: angle from the tile's x axis (right) towards up, modulo pi: nose and tail are
-            not distinguished. None if not known.
-        heading_from: source of the heading; None if not known.
-        length_m: length in metres; None if not known.
-        width_m: width in metres; None if not known.
+            not distinguished. Unknown values are None.
     """
 
     x_px: Coordinate

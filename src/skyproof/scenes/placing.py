@@ -1,7 +1,5 @@
 """Places vehicles as in the photograph: on places of removed ones, or on drivable ground."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -30,14 +28,11 @@ _POINTS_USED = 64
 
 @dataclass(frozen=True)
 class Place:
-    """A possible place of a vehicle in a scene.
+    """A possible place of a vehicle in a scene, in metres east and north of the image's middle.
 
     Attributes:
-        x_m: metres east of the image's middle.
-        y_m: metres north of the image's middle.
-        heading_rad: angle from x towards y; the vehicle may also head the other way. None allows
-            any heading.
-        length_m: length of the vehicle that stood there; None if not known.
+        heading_rad: angle from x towards y, either way; None allows any heading.
+        length_m: length of the vehicle that stood there, if known.
     """
 
     x_m: float
@@ -58,16 +53,15 @@ def place_vehicles(
     """Draws a window and vehicles at places on its ground; none overlap.
 
     The tile is uniform among those with places. The window is uniform on it among those with room
-    for the fewest vehicles (one at least, unless no vehicle was drawn). If a window has more places
-    than vehicles, a random subset is taken; if it has fewer, there are fewer vehicles.
+    for the fewest vehicles (at least one, unless no vehicle was drawn). A random subset of a
+    window's places is taken, and a window with fewer places gets fewer vehicles.
 
-    `settings.places` chooses the places; `half_m` is the largest distance of vehicle centres from
-    the middle on both axes. All else is as in `sample_scenes`.
+    `half_m` is the largest distance of vehicle centres from the middle on both axes. Other
+    arguments are those of `sample_scenes`.
 
     Raises:
         ConfigurationError: no tile has places, or no window with room for the fewest vehicles was
             found.
-        StoredFileError: a map of drivable ground is missing or damaged.
     """
     span = settings.vehicles_maximum - settings.vehicles_minimum + 1
     number = settings.vehicles_minimum + int(torch.randint(span, (1,), generator=generator))
@@ -140,13 +134,7 @@ def drivable_places(
     *,
     generator: torch.Generator,
 ) -> list[Place]:
-    """Draws 1,024 points of a window, and gives the first 64 on drivable ground, with its heading.
-
-    `half_m` is their largest distance from the window's middle on both axes.
-
-    Raises:
-        StoredFileError: the map is missing or damaged.
-    """
+    """Draws 1,024 points within `half_m`, and gives the first 64 on drivable ground."""
     directions = backgrounds.directions(window.tile)
     points = torch.rand(_POINTS, 2, dtype=torch.float64, generator=generator)
     if directions is None:

@@ -1,7 +1,5 @@
 """Draws random scenes: number, places and headings of vehicles, camera, sun and weather."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -36,9 +34,9 @@ def sample_scenes(
 ) -> list[Scene]:
     """Draws scenes with uniform vehicles and backgrounds; none overlap.
 
-    Places and headings are uniform too, unless `settings.places` takes them from the ground. Every
-    vehicle id in `vehicle_sizes_m` is equally likely. Every scene takes one 63-bit seed from
-    `generator` and draws all else from that seed. Ids are `<prefix>-<number>`.
+    Places and headings are uniform, too, unless `settings.places` takes them from the ground. Every
+    vehicle id is equally likely. Every scene takes one 63-bit seed from `generator` and draws all
+    else from that seed. Ids are `<prefix>-<number>`.
 
     Raises:
         ConfigurationError: no tile is large enough, there are no vehicles, or the image or the
@@ -182,10 +180,7 @@ def _park(
     *,
     generator: torch.Generator,
 ) -> tuple[Placement, ...]:
-    """Parks vehicles in one row around a uniform place, bumper to bumper or side by side.
-
-    Vehicles beyond the margin are left out.
-    """
+    """Parks vehicles in a row around a uniform place; those beyond the margin are left out."""
     x, y, turn, kind = torch.rand(4, dtype=torch.float64, generator=generator).tolist()
     side_by_side = kind < 0.5
     row_rad = 2 * math.pi * turn

@@ -1,7 +1,5 @@
 """A scene as plain data: ground, camera, sun, weather, and the vehicles and their places."""
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import math
@@ -37,8 +35,7 @@ class BackgroundWindow:
 
     Attributes:
         tile: id of the tile in its background set; the cluster of the bootstrap.
-        centre_x_px: middle of the window in tile pixels, from the tile's left edge, continuous.
-        centre_y_px: middle of the window in tile pixels, from the tile's top edge.
+        centre_x_px, centre_y_px: middle in tile pixels from the top-left corner, continuous.
         rotation_rad: angle from the tile's x axis to the window's, counter-clockwise on screen.
     """
 
@@ -52,16 +49,14 @@ class BackgroundWindow:
 class Camera:
     """An aerial camera whose picture was rectified to the ground plane, as an orthophoto is.
 
-    Ground points stay on the pixel grid at any tilt; a point at height h leans away from the camera
-    by h * tan(tilt). This is the limit of a high camera: parallel rays over one vehicle.
+    Ground points stay on the pixel grid at any tilt, and a point at height h leans away from the
+    camera by h * tan(tilt): parallel rays, the limit of a high camera.
 
     Attributes:
         tilt_rad: angle off the vertical, 0 to 20 degrees (section S3.2.1).
-        azimuth_rad: direction from the scene to the camera, in the ground plane, from x (east)
-            towards y (north).
+        azimuth_rad: direction from the scene to the camera in the ground plane, from x to y.
         gsd_m: metres per pixel.
-        size_px: width and height of the image; world (0, 0) is its centre, east is right, north is
-            up.
+        size_px: side of the image; world (0, 0) is its centre, x is east and right, y north and up.
     """
 
     tilt_rad: Tilt
@@ -93,13 +88,10 @@ class Placement:
     """One vehicle in a scene.
 
     Attributes:
-        vehicle: id in the fleet.
-        x_m: metres east of the image's middle.
-        y_m: metres north of the image's middle.
+        x_m, y_m: metres east and north of the image's middle.
         heading_rad: direction of its nose, from x towards y.
-        shade: share of the direct sun that the photograph's shadows take from it.
-        covered: share of its footprint that the photograph's crowns and roofs hide; 0 also for a
-            vehicle on top of them.
+        shade: share of the direct sun that the photograph's shadows take.
+        covered: share of its footprint under crowns and roofs; 0 also on top of them.
     """
 
     vehicle: Name
@@ -114,8 +106,7 @@ class Placement:
 class Scene:
     """All data to render one image again, except the fleet and the background set.
 
-    The id is unique within a set and names the picture; the seed is that of the sensor noise; the
-    weather is clear by default.
+    The id names the picture. The seed is that of the sensor noise.
     """
 
     id: Name

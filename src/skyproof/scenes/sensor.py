@@ -1,7 +1,5 @@
 """The sensor of a photograph, or of a set of photographs (section S2.1)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Annotated, Literal
@@ -29,13 +27,11 @@ def chosen_blur_px(choice: BlurChoice) -> float:
 
 @dataclass(frozen=True)
 class Sensor:
-    """Blur and noise of imagery at its ground resolution.
-
-    The defaults are those of a sharp orthophoto at 12.5 cm per pixel, and of a quiet sensor.
+    """Blur and noise of imagery; the default is a sharp, quiet orthophoto at 12.5 cm per pixel.
 
     Attributes:
-        blur_sigma_px: standard deviation of the Gaussian blur, 0 to 10.
-        noise: standard deviation of the noise, sRGB units, 0 to 0.5.
+        blur_sigma_px: standard deviation of the Gaussian blur.
+        noise: standard deviation of the noise, sRGB units.
     """
 
     blur_sigma_px: Blur = 0.7

@@ -1,7 +1,5 @@
 """Settings of random scenes. Imports no torch, so that the command line answers at once."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Annotated, Literal

@@ -1,7 +1,5 @@
 """The four splits of ground, vehicles and scenes."""
 
-from __future__ import annotations
-
 from typing import Literal, get_args
 
 Split = Literal["train", "validation", "attack", "test"]

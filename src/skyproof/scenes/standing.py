@@ -1,7 +1,5 @@
 """How vehicles stand on a photograph: in its shadows, and beneath its crowns and roofs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -31,15 +29,9 @@ def standing(
 ) -> tuple[Placement, ...]:
     """Returns vehicles with the shadow and cover of their places.
 
-    A vehicle gets the mean shadow over its footprint, although its roof may reach out of a shadow,
-    and a shadow's edge may cross it. If crowns and roofs cover less than `on_top_from` of the
-    footprint, half by default, the vehicle stands beneath them, else on top, because uniform places
-    put vehicles on anything (photographed vehicles chose their places, and do not).
-
-    `shadows` says whether vehicles in shadow lose the sun, too.
-
-    Raises:
-        StoredFileError: a map of the tile is missing or damaged.
+    A vehicle gets the mean shadow over its footprint if `shadows`. If crowns and roofs cover less
+    than `on_top_from` of the footprint it stands beneath them, else on top, because uniform places
+    put vehicles on anything. (Photographed vehicles chose their places, and do not.)
     """
     shade = backgrounds.shade(window.tile) if shadows else None
     cover = backgrounds.cover(window.tile)

@@ -1,7 +1,5 @@
 """Weather and light of one scene as plain numbers, and the conditions they are drawn from."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,13 +19,13 @@ class Weather:
     """Effects between the ground and the picture; the default is a clear day and a good camera.
 
     Attributes:
-        condition: one of `CONDITIONS`; a name for tables, the numbers below decide the picture.
-        haze: share of every pixel's light that is airlight instead, 0 to 1.
-        wetness: share of the ground that is wet, and so darker, 0 to 1; vehicles do not change.
-        overcast: share of the sun's direct light that comes from the whole sky instead, 0 to 1.
-        exposure_stops: brightness factor 2^stops before clipping; -16 to 16.
+        condition: one of `CONDITIONS`, for tables; the numbers below decide the picture.
+        haze: share of airlight in every pixel.
+        wetness: share of the ground that is wet, and so darker.
+        overcast: share of the direct sun that comes from the whole sky instead.
+        exposure_stops: brightness factor 2^stops before clipping.
         noise: standard deviation on the whole picture, sRGB units.
-        jpeg_quality: quality of a JPEG compression of the picture, 1 to 95; None for none.
+        jpeg_quality: quality of a JPEG compression of the picture, or None.
     """
 
     condition: Name = "clear"
@@ -70,10 +68,7 @@ MIXED_CONDITIONS = ("clear", "haze", "overcast", "exposure", "noise", "jpeg", "l
 
 
 def draw_weather(condition: str, strength: float) -> Weather:
-    """The weather of one of `CONDITIONS` (section S7) at a strength from 0 to 1.
-
-    Scenes draw a uniform strength. For "low_sun" it is also the place of the sun's elevation within
-    `LOW_SUN_ELEVATION_RAD`.
+    """The weather of one of `CONDITIONS` (section S7) at a strength, which scenes draw from [0, 1].
 
     Raises:
         ConfigurationError: there is no such condition.

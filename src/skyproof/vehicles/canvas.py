@@ -1,7 +1,5 @@
 """The left half of a texture map while a body is painted, and where its texels lie."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -19,10 +17,7 @@ Colour = Float[Tensor, " 3"] | tuple[float, float, float]
 
 @dataclass
 class Canvas:
-    """The left half of a map being painted, and where its texels lie.
-
-    Places are `[512, 256]` or `[512, 1]`, in metres.
-    """
+    """The left half of a map being painted; places are `[512, 256]` or `[512, 1]`, in metres."""
 
     body: Body
     behind: Tensor  # distance behind the nose
@@ -66,10 +61,7 @@ class Canvas:
 
 @lru_cache(maxsize=1)
 def _texel_weights() -> tuple[Tensor, Tensor, Tensor]:
-    """Returns bilinear weights `[512, 33]` of rows and `[17, 256]` of columns.
-
-    The third result is each texel column's column coordinate.
-    """
+    """Bilinear weights of rows `[512, 33]` and columns `[17, 256]`, and columns' coordinates."""
     centre = (torch.arange(TEXTURE_SIZE) + 0.5) / TEXTURE_SIZE
 
     def weights(at: Tensor, knots: Tensor) -> Tensor:

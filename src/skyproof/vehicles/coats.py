@@ -1,10 +1,7 @@
 """Coats that few real vehicles wear: any plain colour, two tones, a livery.
 
-A detector that saw catalogue paints alone takes colour for evidence, and is blinded by a tin of
-yellow paint. These coats take that evidence away in training.
+A detector trained on catalogue paints alone takes colour for evidence. These coats prevent that.
 """
-
-from __future__ import annotations
 
 from typing import Literal
 
@@ -30,15 +27,12 @@ _DARK_BELOW, _LIGHT_ABOVE = 25.0, 80.0
 def varied_colours(
     count: int, *, muted: float = 0.5, generator: torch.Generator
 ) -> Float[Tensor, "count 3"]:
-    """Draws colours of all kinds, a part of them `muted`, as primer, dust and ground are.
+    """Draws sRGB colours in [0.03, 0.97] of all kinds, a part of them `muted`, as primer and dust
+    are.
 
-    Of CIELAB hardly a hundredth is nearly grey. Detectors that had learnt colours uniform in it
-    alone lost vehicles in one grey or beige, over glass and wheels, more often than in any vivid
-    colour (docs/results/detectors). The muted ones keep a part u ** 2 of their chroma, u uniform,
-    and are uniform in lightness, because there are as many blacks and whites as greys.
-
-    Returns:
-        sRGB in [0.03, 0.97].
+    Hardly a hundredth of CIELAB is nearly grey, and detectors trained on it alone lost vehicles in
+    one grey or beige (docs/results/detectors). Muted colours keep a part u ** 2 of their chroma, u
+    uniform, and are uniform in lightness.
     """
     cielab = srgb_to_cielab(_uniform_colours(count, generator=generator))
     chance, kept, lightness = torch.rand(3, count, 1, generator=generator)
@@ -48,13 +42,7 @@ def varied_colours(
 
 
 def _uniform_colours(count: int, *, generator: torch.Generator) -> Float[Tensor, "count 3"]:
-    """Draws colours uniformly from the part of CIELAB that sRGB can show.
-
-    Equal volumes there hold about equally many colours that one can tell apart.
-
-    Returns:
-        sRGB in [0.03, 0.97].
-    """
+    """Draws colours uniformly from the part of CIELAB that sRGB can show."""
     found = torch.zeros(0, 3)
     while len(found) < count:
         draws = torch.rand(_CANDIDATES, 3, generator=generator)
@@ -68,11 +56,7 @@ def _uniform_colours(count: int, *, generator: torch.Generator) -> Float[Tensor,
 
 
 def lay_coat(canvas: Canvas, coat: Coat, *, generator: torch.Generator) -> Float[Tensor, " 3"]:
-    """Lays a plain colour, two tones or a livery over the whole canvas, before trim and glass.
-
-    Returns:
-        The sRGB of what else is painted like the body, such as bumpers.
-    """
+    """Paints a canvas plain, in two tones or in a livery; returns the sRGB of the bumpers."""
     if coat == "two_tone":
         return _two_tones(canvas, generator)
     (colour,) = varied_colours(1, generator=generator)
@@ -87,10 +71,7 @@ def _everywhere(canvas: Canvas) -> Tensor:
 
 
 def _two_tones(canvas: Canvas, generator: torch.Generator) -> Tensor:
-    """Roof alone, all that is seen from above, or the lower half, in another colour than the rest.
-
-    Every second one has all that is seen from above in another colour.
-    """
+    """Paints the roof, all that is seen from above, or the lower half in a second colour."""
     first, second = _pair(generator)
     kind = int(torch.randint(4, (1,), generator=generator))
     canvas.fill(_everywhere(canvas), first, Part.BODY)
@@ -105,11 +86,7 @@ def _two_tones(canvas: Canvas, generator: torch.Generator) -> Tensor:
 
 
 def _pair(generator: torch.Generator) -> Float[Tensor, "2 3"]:
-    """Draws two colours; of two pairs in three one is dark and one light, mostly the second dark.
-
-    Of colours drawn by themselves one pair in a hundred is, and detectors lost black roofs on
-    white vehicles.
-    """
+    """Draws two colours; two pairs in three are a dark and a light one, mostly the second dark."""
     colours = varied_colours(2, generator=generator)
     contrast, swap, *parts = torch.rand(4, generator=generator).tolist()
     if contrast < 1 / 3:

@@ -30,7 +30,6 @@ from skyproof.vehicles.vehicle import TEXTURE_SIZE, Part, Template, VehicleBatch
 _FORMAT_VERSION = 1
 _USUAL: Coat = "catalogue"
 _REMEDY = "copy the whole folder again, or make the fleet again"
-# No vertex of a road vehicle lies farther from its middle.
 _LARGEST_M = 100.0
 
 
@@ -48,15 +47,15 @@ def _default_weights() -> dict[str, float]:
 
 @dataclass(frozen=True)
 class FleetSettings:
-    """What a fleet consists of.
+    """Settings of a fleet.
 
     Attributes:
         count: number of vehicles.
-        weights: relative frequency of each body type; a type left out does not occur.
+        weights: relative frequency of each body type; 0 if left out.
         first_number: number of the first vehicle, so that two fleets can have different ids.
-        paints: which shares are painted otherwise than real vehicles are.
-        shapes: share whose surface is pushed out at random. Such shapes, and patterns, are worn
-            only after `skyproof.camouflage.random_controls`.
+        paints: shares with other paints than real vehicles.
+        shapes: share with a random shape. `skyproof.camouflage.random_controls` applies shapes and
+            patterns.
     """
 
     count: VehicleCount = 60
@@ -64,7 +63,6 @@ class FleetSettings:
         default_factory=_default_weights
     )
     first_number: WholeNumber = 0
-    # Fleets written before there was a choice had catalogue paints.
     paints: PaintVariety = CATALOGUE_PAINTS
     shapes: Fraction = 0.0
 
@@ -86,7 +84,6 @@ class _Description:
     format: int
     ids: Annotated[tuple[Name, ...], Meta(min_length=1, max_length=100_000)]
     settings: FleetSettings | None
-    # Fleets written before vehicles could be wrapped have none.
     sources: dict[str, dict[str, Annotated[str, Meta(max_length=10_000)]]] = field(
         default_factory=dict
     )
@@ -102,16 +99,13 @@ class Fleet:
     """Vehicles by id.
 
     Attributes:
-        settings: what it was drawn from; None if some of it was wrapped or mixed.
-        template: the shared mesh.
-        ids: "<body type>-<number>", e.g. "saloon-0017": the body type is what stands before the
-            last hyphen.
+        settings: None if some vehicles were wrapped or mixed.
+        ids: "<body type>-<number>", such as "saloon-0017".
         vertices: `[N, V, 3]` metres, vehicle axes.
         textures: `[N, 3, 512, 512]` sRGB as bytes.
         parts: `[N, 512, 512]` values of `Part`.
-        sources: for each wrapped vehicle its "mesh" file and "licence"; for each learnt one its
-            "generator"; for each that wears no catalogue paint its "coat", and "shape": "random"
-            where that is asked.
+        sources: by id "mesh" and "licence" of a wrapped vehicle, "generator" of a learnt one,
+            "coat" if it is no catalogue paint, and "shape": "random".
     """
 
     settings: FleetSettings | None
@@ -138,16 +132,13 @@ class Fleet:
         )
         return VehicleBatch(self.template, vertices, textures, parts, tuple(ids))
 
-    def size_m(self, vehicle_id: str) -> tuple[float, float, float]:
-        """Returns length, width (without mirrors) and height in metres."""
-        vertices = self.vertices[self._row(vehicle_id)]
-        length, width, height = (vertices.amax(0) - vertices.amin(0)).tolist()
-        return length, width, height
-
     @cached_property
     def sizes_m(self) -> dict[str, tuple[float, float, float]]:
-        """Returns `size_m` of every vehicle by id, as sampling scenes needs them."""
-        return {name: self.size_m(name) for name in self.ids}
+        """By id the length, width (without mirrors) and height in metres."""
+        extents = (self.vertices.amax(1) - self.vertices.amin(1)).tolist()
+        return {
+            name: (size[0], size[1], size[2]) for name, size in zip(self.ids, extents, strict=True)
+        }
 
     def save(self, folder: Path) -> None:
         """Writes `fleet.json` and `fleet.safetensors` into a new folder, whole or not at all.
@@ -239,8 +230,7 @@ def sample_fleet(
     """Draws a fleet: body types by weight, then dimensions, paint and trim of each vehicle.
 
     Args:
-        settings: how many, and of which types.
-        generator: CPU generator; the same state gives the same fleet, byte for byte.
+        generator: on the CPU; the same state gives the same fleet, byte for byte.
         progress: called with (vehicles done, vehicles in all).
     """
     coats = _coats(settings, generator)

@@ -1,7 +1,5 @@
 """Paints a body's texture and part labels, texel by texel from where each texel lies in space."""
 
-from __future__ import annotations
-
 import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
@@ -34,23 +32,15 @@ def paint_vehicle(
     glass: Float[Tensor, " 3"] | None = None,
     generator: torch.Generator,
 ) -> tuple[UInt8[Tensor, "3 512 512"], UInt8[Tensor, "512 512"]]:
-    """Paints one vehicle.
-
-    Labels are those of the left half, mirrored: exactly symmetric. No light or shadow is painted
-    in.
+    """Paints one vehicle without light or shadow; labels are exactly symmetric.
 
     Args:
-        body: its shape.
         body_type: decides trim, glass and the usual paints.
-        coat: of the body panels.
-        paint: sRGB in [0, 1] of the body panels; without one it is drawn. What else is drawn is the
-            same either way.
-        glass: the same of the panes.
-        generator: on the CPU.
+        paint: sRGB in [0, 1] of the body panels; drawn if None, with the same other draws.
+        glass: sRGB of the panes; drawn if None.
 
     Returns:
-        texture: `[3, 512, 512]` sRGB as bytes.
-        parts: `[512, 512]` values of `Part`.
+        `[3, 512, 512]` sRGB bytes, and `[512, 512]` values of `Part`.
     """
     _, drawn_paint = sample_paint(body_type, generator=generator)
     paint = drawn_paint if paint is None else paint

@@ -1,7 +1,5 @@
 """Draws the colour of a vehicle's paint: published frequencies and a little variation."""
 
-from __future__ import annotations
-
 import torch
 from jaxtyping import Float
 from torch import Tensor

@@ -1,9 +1,4 @@
-"""How vehicles are painted, and how meshes become vehicles.
-
-Imports no torch, so that the command line answers at once.
-"""
-
-from __future__ import annotations
+"""Settings of vehicles' paints and of wrapped meshes. Imports no torch, for a fast command line."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,18 +19,18 @@ Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 
 @dataclass(frozen=True)
 class PaintVariety:
-    """Which shares of a fleet are painted otherwise than real vehicles are.
+    """Shares of a fleet that are painted otherwise than real vehicles.
 
     The rest has catalogue paints, of which four in five are white, black, grey or silver. The
     defaults are meant for training: detectors that learnt them do not take colour for evidence.
 
     Attributes:
-        plain: one colour, uniform in CIELAB or muted; on half of these vehicles it covers glass and
+        plain: share in one colour, uniform in CIELAB or muted; on half of them it covers glass and
             wheels, too.
-        two_tone: two such colours: roof, upper or lower half in another one.
-        livery: such colours in stripes, bands, chequers and panels.
-        patterned: random patterns, drawn as the random controls of all textures are; six of
-            fourteen on painted body panels alone.
+        two_tone: share in two such colours, with another one on roof, upper or lower half.
+        livery: share with such colours in stripes, bands, chequers and panels.
+        patterned: share with random patterns, drawn like the random controls of all textures; six
+            of fourteen lie on painted panels alone.
     """
 
     plain: Fraction = 0.15
@@ -90,9 +85,7 @@ class WrapSettings:
         check_ranges(self)
 
     def of_meshes(self, meshes: list[Path]) -> list[tuple[Path, str, float | None]]:
-        """Returns each mesh with its name and its metres per unit.
-
-        These are None where the file has to say it.
+        """Returns each mesh with its name and its metres per unit (None: as the file says).
 
         Raises:
             ConfigurationError: there are not as many names or scales as meshes.

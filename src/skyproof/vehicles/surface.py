@@ -1,7 +1,5 @@
 """Builds a vehicle's surface from its dimensions: one cross-section per ring, two end caps."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch
@@ -30,14 +28,13 @@ _FLAT_TYRE_M = (
 
 @dataclass(frozen=True)
 class Body:
-    """One vehicle's surface, and what its painter needs to know of it.
+    """One vehicle's surface, and the places that its painter needs.
 
     Attributes:
-        dimensions: what it was built from.
-        half: `[33, 17, 3]` metres, vehicle axes: nose pole, rings, tail pole; columns from the
+        half: `[33, 17, 3]` metres, vehicle axes: nose pole, rings, tail pole by columns from the
             middle of the underside up the left side to the middle of the roof.
         station: `[33]` distance behind the nose of each ring's middle.
-        belt_z, rail_z, rail_y: `[33]` shoulder height, roof rail height and half width at the roof
+        belt_z, rail_z, rail_y: `[33]` heights of shoulder and roof rail, half width at the roof
             rail.
     """
 
@@ -50,9 +47,8 @@ class Body:
 
     @property
     def vertices(self) -> Float[Tensor, "994 3"]:
-        """Returns `[994, 3]` float32 in template order.
-
-        The right half is the left half reflected, bit for bit.
+        """`[994, 3]` float32 in template order; the right half is the left half reflected, bit for
+        bit.
         """
         right = self.half[1:-1, 1:-1].flip(1) * self.half.new_tensor([1.0, -1.0, 1.0])
         rings = torch.cat([self.half[1:-1], right], dim=1).reshape(-1, 3)
@@ -106,10 +102,7 @@ def _smooth(values: Float[Tensor, " N"], window: int) -> Float[Tensor, " N"]:
 
 
 def _profiles(d: BodyDimensions) -> dict[str, Float[Tensor, " N"]]:
-    """Returns side-view curves on a fine grid of stations.
-
-    They are roof line, shoulder line and depth of a pickup's bed.
-    """
+    """Roof line, shoulder line and depth of a pickup's bed, on a fine grid of stations."""
     tail = d.length - _CAP_DEPTH_M
     at = torch.linspace(_CAP_DEPTH_M, tail, 640, dtype=torch.float64)
     step = float(at[1] - at[0])
@@ -164,10 +157,7 @@ def _profiles(d: BodyDimensions) -> dict[str, Float[Tensor, " N"]]:
 def _ring_stations(
     d: BodyDimensions, profile: dict[str, Float[Tensor, " N"]]
 ) -> Float[Tensor, " 27"]:
-    """Returns stations of the rings between the caps.
-
-    They are even along the centre line, but with a ring at each edge of the body.
-    """
+    """Stations of the rings between the caps: even along the centre line, one at each body edge."""
     at = profile["at"]
     height = profile["top"] - profile["depth"]
     arc = torch.cat([at.new_zeros(1), torch.hypot(at.diff(), 0.9 * height.diff()).cumsum(0)])
@@ -226,7 +216,6 @@ def _sections(
     x, y = torch.tensor(points, dtype=torch.float64).T.contiguous()
     glass_bow = interpolate(station, x, y)
 
-    # The sections, and how far each point lies behind the nose.
     lower = _lower_side(d, station + bow, half_width, belt)
     upper, rail_z, rail_y = _upper_side(d, lower[:, -1], top, belt)
     if d.bed_depth:

@@ -1,7 +1,5 @@
 """Makes the template mesh: 31 rings of 32 points and two poles, with one UV map."""
 
-from __future__ import annotations
-
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -23,20 +21,14 @@ _TEXELS = (2 * [19.0], 5 * [18.8], 4 * [16.0], 5 * [12.0])
 
 
 def column_u(dtype: torch.dtype = torch.float64) -> Float[Tensor, " 33"]:
-    """Returns u of the 33 UV columns.
-
-    The first (0) and the last (1) are the seam in the middle of the underside.
-    """
+    """u of the 33 UV columns; 0 and 1 are the seam in the middle of the underside."""
     widths = torch.tensor([width for group in _TEXELS for width in group], dtype=torch.float64)
     half = torch.cat([widths.new_zeros(1), widths.cumsum(0)]) / (2 * widths.sum())
     return torch.cat([half, 1.0 - half[:-1].flip(0)]).to(dtype)
 
 
 def row_v(dtype: torch.dtype = torch.float64) -> Float[Tensor, " 33"]:
-    """Returns v of the nose pole, the 31 rings and the tail pole.
-
-    They are even, so that 16 texels of a 512 map lie in each interval.
-    """
+    """v of nose pole, 31 rings and tail pole: even, 16 texels of a 512 map in each interval."""
     return torch.linspace(0.0, 1.0, RINGS + 2, dtype=torch.float64).to(dtype)
 
 
@@ -44,18 +36,16 @@ def make_template() -> Template:
     """Makes the closed mesh all vehicles share: 994 vertices, 1984 triangles, 1087 UV points.
 
     Vertex `32 ring + column` for rings from nose to tail; 992 is the nose pole, 993 the tail pole.
-    Column 0 runs along the middle of the underside, 8 or so up the left side, 16 along the middle
-    of the roof, then down the right side. Seen as an image with row 0 on top, the UV map is the
-    vehicle from above, nose up, with its sides folded out.
+    Column 0 runs along the middle of the underside, 8 up the left side, 16 along the middle of the
+    roof, then down the right side. With row 0 on top the UV map shows the vehicle from above, nose
+    up, its sides folded out.
 
-    The reflection y -> -y takes column k to (32 - k) mod 32 and is **u -> 1 - u** with v unchanged,
-    so flipping a map's columns mirrors it: texel i goes to 511 - i. The seam (u = 0 and u = 1) lies
-    in the middle of the underside, where nobody looks. Each pole has 32 UV points, one per
-    triangle, centred over the triangle's ring edge.
+    The reflection y -> -y takes column k to (32 - k) mod 32 and is **u -> 1 - u** with v unchanged:
+    texel i goes to 511 - i. The seam lies in the middle of the underside. Each pole has 32 UV
+    points, one per triangle, centred over the triangle's ring edge.
 
-    Differences from the paper: its captions put the underside at the right edge of the map; here it
-    is split between the left and the right edge, which keeps painted parts whole and the mirror an
-    exact flip.
+    Differences from the paper: the underside is split between both edges of the map, which keeps
+    painted parts whole and the mirror an exact flip.
     """
     ring_vertex = torch.arange(RINGS * COLUMNS).view(RINGS, COLUMNS)
     vertex = torch.cat([ring_vertex, ring_vertex[:, :1]], dim=1)
@@ -84,19 +74,13 @@ def make_template() -> Template:
 
 
 def _fan(ring: Int[Tensor, " 33"], pole: int | Int[Tensor, " 32"]) -> Int[Tensor, "32 3"]:
-    """Returns triangles from the pole to each edge of a ring.
-
-    They face outward at the nose; reverse them at the tail.
-    """
+    """Triangles from the nose pole to each edge of a ring; reversed at the tail."""
     apex = torch.as_tensor(pole).expand(COLUMNS)
     return torch.stack([apex, ring[:-1], ring[1:]], dim=1)
 
 
 def _quads(grid: Int[Tensor, "31 33"]) -> Int[Tensor, "N 3"]:
-    """Returns two triangles per grid cell.
-
-    The diagonal is mirrored on the right half, so that the surface is symmetric.
-    """
+    """Two triangles per grid cell, the diagonal mirrored on the right half."""
     upper_left, upper_right = grid[:-1, :-1], grid[:-1, 1:]
     lower_left, lower_right = grid[1:, :-1], grid[1:, 1:]
     falling = [(upper_left, lower_left, lower_right), (upper_left, lower_right, upper_right)]

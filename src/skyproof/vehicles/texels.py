@@ -1,7 +1,5 @@
 """Says how large a texel is on a vehicle, and which texels are roof, bonnet or sides."""
 
-from __future__ import annotations
-
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -22,21 +20,13 @@ _ROWS = TEXTURE_SIZE // (RINGS + 1)  # texels between two rings; whole, because 
 def texel_metric(
     vehicles: VehicleBatch,
 ) -> tuple[Float[Tensor, "N 512 512"], Float[Tensor, "N 512 512"], Float[Tensor, "N 512 512"]]:
-    """Measures length across, length along and area of every texel on every vehicle.
+    """Measures length across, length along and area of every texel, at the present vertices.
 
-    Present vertices count.
-
-    Each cell of the template is taken as bilinear for lengths; its two triangles' area is shared
-    out evenly among its texels, so that all texels of a vehicle add up to the area of its mesh. A
-    pole's cells are quads with one side shrunk to the pole: texels narrow towards it. The mesh
-    itself shows only a triangle of each of them there.
-
-    Args:
-        vehicles: procedural vehicles on the template of `make_template`, of whatever shape.
+    Lengths take each template cell as bilinear. The area of its two triangles is shared out evenly,
+    so texels add up to the mesh's area. A pole's cells are quads with one side shrunk to the pole.
 
     Returns:
-        metres across (u, around the body), metres along (v, nose to tail) and square metres, on the
-        CPU.
+        Metres across (u), metres along (v) and square metres, on the CPU.
     """
     vertices = vehicles.vertices.detach().double().cpu()
     grid = _grid(vertices)
@@ -69,7 +59,7 @@ def texel_metric(
 def texel_regions(vehicles: VehicleBatch) -> dict[str, Bool[Tensor, "N 512 512"]]:
     """Masks roof, bonnet, sides (between sill and shoulder), glass and underside, on the CPU.
 
-    Bonnet and roof are the painted texels inside the roof rail before and behind the first glass of
+    Bonnet and roof are painted texels inside the roof rail, before and behind the first glass of
     the middle column.
     """
     parts = vehicles.parts.cpu()
@@ -91,24 +81,6 @@ def texel_regions(vehicles: VehicleBatch) -> dict[str, Bool[Tensor, "N 512 512"]
     }
 
 
-def texel_sizes(vehicles: VehicleBatch) -> dict[str, float]:
-    """Returns the median size of a texel over a batch's vehicles, in each of `texel_regions`.
-
-    Args:
-        vehicles: procedural vehicles on the template of `make_template`.
-
-    Returns:
-        centimetres, keys such as "roof_u_cm" (across, around the body) and "roof_v_cm" (along, nose
-        to tail).
-    """
-    length_u, length_v, _ = texel_metric(vehicles)
-    sizes = {}
-    for name, mask in texel_regions(vehicles).items():
-        sizes[f"{name}_u_cm"] = float(length_u[mask].median()) * 100
-        sizes[f"{name}_v_cm"] = float(length_v[mask].median()) * 100
-    return sizes
-
-
 def _grid(vertices: Float[Tensor, "N V 3"]) -> Float[Tensor, "N 33 33 3"]:
     """Returns nose pole, rings and tail pole, the first column repeated after the last."""
     rings = vertices[:, : RINGS * COLUMNS].unflatten(1, (RINGS, COLUMNS))
@@ -120,9 +92,8 @@ def _grid(vertices: Float[Tensor, "N V 3"]) -> Float[Tensor, "N 33 33 3"]:
 def _cell_areas(
     vertices: Float[Tensor, "N V 3"], vehicles: VehicleBatch
 ) -> Float[Tensor, "N 32 32"]:
-    """Returns the area of each cell's triangles, in the order of `make_template`.
-
-    There is one triangle at the poles, and two elsewhere.
+    """The area of each cell's triangles in the order of `make_template`: one at the poles, else
+    two.
     """
     corners = vertices[:, vehicles.template.faces.cpu()]
     normal = torch.linalg.cross(
@@ -134,10 +105,7 @@ def _cell_areas(
 
 
 def _column_shares() -> Float[Tensor, "32 512"]:
-    """Returns the share of each column of cells that each column of texels holds.
-
-    Texels may straddle two.
-    """
+    """The share of each column of cells in each column of texels, which may straddle two."""
     edges = column_u() * TEXTURE_SIZE
     left = torch.arange(TEXTURE_SIZE, dtype=torch.float64)
     overlap = torch.minimum(edges[1:, None], left + 1) - torch.maximum(edges[:-1, None], left)

@@ -1,4 +1,4 @@
-"""Real meshes are brought onto the shared template here: read, turned, laid around, baked, judged.
+"""Brings real meshes onto the shared template: reads, turns, wraps, bakes and measures them.
 
-Nothing of it is needed where a fleet is only used.
+Nothing here is needed to use a fleet.
 """

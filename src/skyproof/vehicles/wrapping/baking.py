@@ -1,7 +1,5 @@
 """Finds which point of a mesh each texel of the shared map shows, and its colour."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,12 +24,12 @@ _OUTSIDE_M = 0.03
 
 @dataclass(frozen=True)
 class Texels:
-    """What the 512 x 512 texels show, row by row.
+    """The 512 x 512 texels of a wrapped vehicle, row by row.
 
     Attributes:
-        points, normals: `[512, 512, 3]` where they lie on the wrapped template.
-        face: `[512, 512]` the mesh's triangle they show.
-        alpha: `[512, 512]` opacity, or value of the paint mask, there.
+        points, normals: `[512, 512, 3]` on the wrapped template.
+        face: `[512, 512]` visible triangle of the mesh.
+        alpha: `[512, 512]` opacity, or value of the paint mask.
         colour: `[512, 512, 3]` sRGB in [0, 1].
     """
 
@@ -45,14 +43,7 @@ class Texels:
 def bake(
     mesh: SourceMesh, outer: Outer, wrapping: Wrapping, mask: UInt8[np.ndarray, "H W"] | None = None
 ) -> Texels:
-    """Gives every texel the colour of the mesh's outer surface nearest to it that faces alike.
-
-    Args:
-        mesh: in the vehicle's axes.
-        outer: its outer surface; what the wrapped hull leaves out, such as mirrors, is not taken.
-        wrapping: the template on it.
-        mask: paint mask on the mesh's own UVs.
-    """
+    """Gives every texel the colour of the nearest outer surface of the mesh that faces alike."""
     points, normals = _texel_places(wrapping)
     kept = np.flatnonzero(wrapping.hull.inside(outer.points, _OUTSIDE_M))
     tree = cKDTree(

@@ -1,7 +1,5 @@
 """Holds a textured mesh as triangles with UVs and materials, whatever file it came from."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,15 +25,15 @@ _DARK_CABIN = 0.08  # what is seen through a transparent window
 
 @dataclass(frozen=True)
 class Material:
-    """How some triangles look.
+    """The look of some triangles.
 
     Attributes:
-        name: of the material and of the object it was found on.
-        colour: sRGB in [0, 1], used where there is neither a texture nor vertex colours.
-        picture: `[H, W, 3 or 4]` bytes, row 0 on top; or none.
+        name: names of the material and of its object.
+        colour: sRGB in [0, 1] without texture and vertex colours.
+        picture: `[H, W, 3 or 4]` bytes, row 0 on top.
         opacity: 1 for solid.
-        plain: the file says nothing about its colour: `colour` is a stand-in.
-        tint: sRGB of the light that the picture lets through, or none.
+        plain: whether `colour` is a stand-in, because the file gives none.
+        tint: sRGB factor of the picture's light.
     """
 
     name: str
@@ -48,12 +46,7 @@ class Material:
 
 @dataclass
 class Size:
-    """Counts what a mesh file unfolds to while it is read; a scene may show a part many times.
-
-    Attributes:
-        path: of the file.
-        triangles, nodes, texels: so far.
-    """
+    """Counts the contents of a mesh file while it is read; a scene may show a part many times."""
 
     path: Path
     triangles: int = 0
@@ -61,11 +54,7 @@ class Size:
     texels: int = 0
 
     def add(self, *, triangles: int = 0, nodes: int = 0, texels: int = 0) -> None:
-        """Counts more of it.
-
-        Raises:
-            ConfigurationError: it is more than a vehicle needs.
-        """
+        """Counts more, and refuses more than a vehicle needs."""
         self.triangles += triangles
         self.nodes += nodes
         self.texels += texels
@@ -83,18 +72,16 @@ class Size:
 
 @dataclass(frozen=True)
 class SourceMesh:
-    """Triangles of all objects of a file together.
+    """The triangles of all objects of a file.
 
     Attributes:
         corners: `[F, 3, 3]`, in the file's axes and unit until it is oriented.
-        uvs: `[F, 3, 2]`, v from the bottom of the picture; may lie outside [0, 1], then the picture
-            repeats.
-        colours: `[F, 3, 3]` sRGB at the corners; NaN where a texture or a material says it.
+        uvs: `[F, 3, 2]`, v from the bottom of the picture, which repeats outside [0, 1].
+        colours: `[F, 3, 3]` sRGB at the corners; NaN if a texture or a material gives the colour.
         material: `[F]` index into `materials`.
-        materials: what the triangles are made of.
-        up: axis that the format says is up, or none.
-        unit_m: metres per unit that the file says, or none.
-        notes: what was repaired or assumed while reading, one sentence each.
+        up: upward axis of the format, or None.
+        unit_m: metres per unit of the file, or None.
+        notes: repairs and assumptions while reading, one sentence each.
     """
 
     corners: Float[np.ndarray, "F 3 3"]
@@ -112,15 +99,11 @@ class SourceMesh:
         weights: Float[np.ndarray, "N 3"],
         mask: UInt8[np.ndarray, "H W"] | None = None,
     ) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, " N"]]:
-        """Returns colour and opacity of points on triangles.
+        """Returns sRGB in [0, 1] of points on triangles, and their pictures' opacity in [0, 1].
 
         Args:
-            face: which triangle.
-            weights: where on it, barycentric.
-            mask: read in place of the pictures' own alpha, by the same UVs.
-
-        Returns:
-            sRGB in [0, 1], and opacity in [0, 1] of the picture (not of the material).
+            weights: barycentric.
+            mask: read instead of the pictures' alpha, by the same UVs.
         """
         uv = np.einsum("nk,nkc->nc", weights, self.uvs[face])
         colours = np.einsum("nk,nkc->nc", weights, self.colours[face])
@@ -170,11 +153,10 @@ def _tinted(
 def find_texture(mesh: Path, name: str) -> Path | None:
     """Finds the picture that a mesh file names, or one of that name in a neighbouring folder.
 
-    Looked for in this order: at the path given; as `model://<model>/...` among the textures of a
-    model beside this one, whose mesh lies in `<model>/meshes`; then by file name, without regard to
-    case, in the mesh's folder, its `textures` and `materials/textures`, and those one folder up.
-    Nothing but the mesh's folder and, for pictures, these is looked into: an absolute path, or one
-    that climbs elsewhere, counts as a file name, and a link out of there as nothing.
+    It looks at the given path, then for `model://<model>/...` among the textures of a model beside
+    this one with its mesh in `<model>/meshes`, then by file name without regard to case in the
+    mesh's folder, its `textures` and `materials/textures`, and those one folder up. Any other path
+    counts as a file name, and a link out of these folders as nothing.
     """
     name = name.strip().replace("\\", "/").removeprefix("file://")
     own, above = mesh.parent, mesh.parent.parent
@@ -216,11 +198,7 @@ def is_picture(name: str) -> bool:
 
 
 def picture_bytes(image: Image.Image, place: str) -> UInt8[np.ndarray, "H W C"]:
-    """Decodes a picture that is open as bytes, `[H, W, 3]` or with alpha `[H, W, 4]`.
-
-    Args:
-        image: perhaps opened by a library, out of a mesh file.
-        place: what an error calls it.
+    """Decodes an open picture as bytes, `[H, W, 3]` or with alpha `[H, W, 4]`; errors name `place`.
 
     Raises:
         ConfigurationError: it cannot be read, or is too large.

@@ -1,7 +1,5 @@
 """Puts a mesh into the vehicle's axes: metres, nose along +x, left along +y, standing on z = 0."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -27,21 +25,18 @@ def orient(
     up: str | None = None,
     forward: str | None = None,
 ) -> tuple[SourceMesh, dict[str, str | float]]:
-    """Turns, scales and moves a mesh, and says how.
+    """Turns, scales and moves a mesh.
 
-    What is not given is taken from the format, or guessed: forward is the longest axis but up; of
-    the other two up is the one about which the mesh is *not* symmetric, pointing along its positive
-    direction; the nose is found by `_nose_is_first`.
+    Missing values come from the format or a guess: forward is the longest axis but up, up the one
+    of the other two without symmetry, pointing along its positive direction. `_nose_is_first` finds
+    the nose.
 
     Args:
-        mesh: as read.
-        scale: metres per unit; None takes what the file says, else 1.
-        up: one of `AXES`.
-        forward: one of `AXES`, where the nose points.
+        scale: metres per unit; the default is the file's, else 1.
+        up, forward: two of `AXES`; the nose points forward.
 
     Returns:
-        the mesh in the vehicle's axes, and {"scale", "up", "forward", "nose"}: the last says how
-        the nose was found.
+        The mesh in the vehicle's axes, and {"scale", "up", "forward", "nose": how it was found}.
 
     Raises:
         ConfigurationError: the axes do not fit together, or the mesh has not a vehicle's size.
@@ -91,10 +86,7 @@ def _turn(corners: Float[np.ndarray, "F 3 3"], up: str, forward: str) -> Float[n
 
 
 def _middle_y(points: Float[np.ndarray, "N 3"]) -> float:
-    """Finds the plane of symmetry: where the mirror image fits best.
-
-    So one mirror or an aerial does not count.
-    """
+    """Finds the plane of symmetry, where the mirror image fits best: one mirror does not count."""
     sample = points[:: max(len(points) // 6000, 1)]
     middle = (sample[:, 1].min() + sample[:, 1].max()) / 2
     shifts = middle + np.linspace(-0.12, 0.12, 49)
@@ -149,7 +141,7 @@ def _check_size(extent_m: Float[np.ndarray, " 3"], unit_m: float) -> None:
 
 
 def _nose_is_first(corners: Float[np.ndarray, "F 3 3"]) -> tuple[bool, str]:
-    """Says whether +x is the nose, and by what: windscreen, bonnet, mirrors, or by nothing.
+    """Says whether +x is the nose, and by what: windscreen, bonnet, mirrors, or nothing.
 
     1. Between 75 and 85 % of the height the nose's end slopes at least twice as far: the
        windscreen. 2. Else the way from the end to where the vehicle is 85 % as high as it gets is

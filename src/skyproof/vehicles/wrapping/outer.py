@@ -1,7 +1,5 @@
 """Finds the outer surface of a mesh as points: what is seen from somewhere outside."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,16 +22,14 @@ _BELOW = len(_VIEWS) - 1
 
 @dataclass(frozen=True)
 class Outer:
-    """Points that some view from outside sees.
+    """Points that are seen from outside.
 
     Attributes:
         points: `[N, 3]` metres.
-        normals: `[N, 3]` unit, of their triangle, towards the view that sees them.
-        face: `[N]` triangle.
-        weights: `[N, 3]` barycentric place on it.
-        below: `[N]` seen only from straight below.
-        inverted: triangles that are seen from their inside, of all that are seen.
-        seen: all triangles that are seen.
+        normals: `[N, 3]` unit, of their triangle, towards the view.
+        face, weights: `[N]` triangle and `[N, 3]` barycentric place on it.
+        below: `[N]` whether only the view from straight below sees it.
+        inverted, seen: number of triangles seen from their inside, and of all seen.
     """
 
     points: Float[np.ndarray, "N 3"]
@@ -46,13 +42,10 @@ class Outer:
 
 
 def look_around(corners: Float[np.ndarray, "F 3 3"], *, pixel_m: float | None = None) -> Outer:
-    """Looks at a mesh from 16 directions and keeps what each pixel sees.
-
-    It does not matter which way triangles are wound.
+    """Looks at a mesh from 16 directions and keeps each pixel's point, whatever the winding.
 
     Args:
-        corners: triangles in the vehicle's axes.
-        pixel_m: distance of the rays; None for 1.25 cm on a car, more on what is larger.
+        pixel_m: distance of the rays; the default is 1.25 cm on a car, more on larger vehicles.
     """
     extent = np.ptp(corners.reshape(-1, 3), axis=0)
     pixel = pixel_m or max(0.0125, float(extent[0]) / 400)

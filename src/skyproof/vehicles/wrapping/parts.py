@@ -1,7 +1,5 @@
 """Labels the parts of a wrapped mesh: by names, else by place and by paint mask or colour."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np
@@ -64,25 +62,21 @@ def label_parts(
 ) -> tuple[UInt8[np.ndarray, "512 512"], dict[str, float], list[str]]:
     """Labels every texel.
 
-    1. A material or object whose name says wheel, glass, light, bumper, trim or chassis is that; a
-       material less than half opaque is glass.
-    2. Columns of the floor are underside, as on drawn bodies.
-    3. Round areas that stand on the ground at the sides are wheels, if no name says so.
-    4. What is left is paint, unless the paint mask is below half there, or, without a mask, its
-       colour is dark and grey. What is not paint is glass at window height and not lying flat,
-       light if bright or red within 60 cm of an end (with a mask only: stripes of a livery stay
-       paint), bumper low at an end, trim elsewhere.
-    5. Without a mask, a greyish area of another colour than the paint is glass, too, if it lies at
-       window height.
+    1. A material or object named wheel, glass, light, bumper, trim or chassis is that; a material
+    less than half opaque is glass. 2. Columns of the floor are underside. 3. Round areas on the
+    ground at the sides are wheels, unless a name says wheel. 4. The rest is paint, except below
+    half in the paint mask or, without one, if dark and grey. Other texels are glass at window
+    height unless level, light if bright or red within 60 cm of an end (with a mask only), bumper
+    low at an end, else trim. 5. Without a mask, a greyish area of another colour than the paint at
+    window height is glass, too.
 
     Args:
-        plain: where the mesh has no colour of its own.
-        masked: `texels.alpha` is a paint mask.
+        plain: texels without a colour in the file.
+        masked: whether `texels.alpha` is a paint mask.
 
     Returns:
-        labels, the share of texels that each rule decided, and notes.
+        Labels, the share of texels that each rule decided, and notes.
     """
-    # What names and transparency of the materials say.
     names = np.array(
         [int(p) if (p := name_part(m.name)) is not None else -1 for m in mesh.materials]
     )
@@ -95,7 +89,6 @@ def label_parts(
     by_name = float(decided.mean())
 
     notes: list[str] = []
-    # What is paint, by mask or by colour.
     paint = texels.alpha >= 0.5 if masked else plain | ~_dark(texels.colour)
     open_ = ~decided
     if not masked and paint[open_].mean() < 0.4:
@@ -150,17 +143,7 @@ def _panes(
     paint: Bool[np.ndarray, "512 512"],
     at_windows: Bool[np.ndarray, "512 512"],
 ) -> Bool[np.ndarray, "512 512"]:
-    """Finds what windows of any grey cover: areas of their own, at window height.
-
-    A stripe or a patch of dirt that goes on below the windows is none; windows that such a stripe
-    touches still are.
-
-    Args:
-        colour: sRGB.
-        open_: where nothing else says what the part is.
-        paint: what counts as paint so far.
-        at_windows: where windows may be.
-    """
+    """Finds windows of any grey: areas at window height that are no part of a stripe or of dirt."""
     if not (open_ & paint).any():
         return np.zeros_like(open_)
     lab = srgb_to_cielab(torch.from_numpy(colour)).numpy()

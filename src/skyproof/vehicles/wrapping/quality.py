@@ -1,7 +1,5 @@
 """Measures how well a wrapped vehicle fits its mesh: outlines, distances, self-crossings."""
 
-from __future__ import annotations
-
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial import cKDTree
@@ -41,14 +39,12 @@ def measure_wrapping(
 ) -> dict[str, float | int]:
     """Compares the wrapped template with the mesh.
 
-    Distances run from points about 3 cm apart on each outer surface (what is seen from the sides
-    and from above, so neither interior nor underside) to the other's surface.
+    Distances run from points about 3 cm apart on each outer surface, as seen from the sides and
+    from above, to the other's surface.
 
     Returns:
-        iou_above, iou_side, iou_front: of outlines, mirrors included; hausdorff_m: the largest
-            distance either way;
-        median_m, p95_m: from the mesh to the wrapped vehicle; crossings: pairs of its triangles
-            that cross.
+        iou_above, iou_side, iou_front: of outlines with mirrors; hausdorff_m: the largest distance
+        either way; median_m, p95_m: from mesh to vehicle; crossings: pairs of crossing triangles.
     """
     template = make_template()
     wrapped = wrapping.vertices.double().numpy()[template.faces.numpy()]
@@ -71,10 +67,7 @@ def _distances(
     start: tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"]],
     goal: tuple[Float[np.ndarray, "M 3"], Float[np.ndarray, "M 3"]],
 ) -> Float[np.ndarray, " K"]:
-    """Measures from one in five points to the other surface.
-
-    It is to the nearest point's plane where that is within two pixels.
-    """
+    """From one in five points to the other surface, or to the nearest point's plane within 2 px."""
     points = start[0][::_EVERY]
     tree = cKDTree(goal[0], balanced_tree=False, compact_nodes=False)
     distance, nearest = tree.query(points)

@@ -230,16 +230,7 @@ def _look_of(
     *,
     linear: bool,
 ) -> tuple[Material, Float[np.ndarray, "F 3 2"], Float[np.ndarray, "F 3 3"]]:
-    """Returns material, UVs and corner colours of one trimesh object.
-
-    Args:
-        geometry: of a scene that is kept meanwhile.
-        name: of the material.
-        pictures: that were decoded already, by the identity of what trimesh opened.
-        size: counts their texels.
-        linear: colours of vertices and materials are linear, as glTF says; its pictures are sRGB
-            like all others.
-    """
+    """Material, UVs and corner colours of one trimesh object; `linear` as in glTF."""
     count = len(geometry.faces)
     uvs = np.zeros((count, 3, 2))
     colours = np.full((count, 3, 3), np.nan)
@@ -310,14 +301,7 @@ def _picture_and_colour(
 
 
 def _refuse_unreadable(path: Path) -> None:
-    """Refuses glTF that is compressed, or claims numbers without end.
-
-    trimesh gives memory to all numbers before it reads them, and takes those that it cannot
-    decompress for zeros.
-
-    Raises:
-        ConfigurationError: it is, or does.
-    """
+    """Refuses compressed glTF, which trimesh reads as zeros, and more numbers than memory holds."""
     content = path.read_bytes()
     if content[:4] == b"glTF":
         (length,) = struct.unpack_from("<I", content, 12)

@@ -1,7 +1,4 @@
-"""Takes a vehicle's hull from above, from the sides and from below, and cuts it across.
-
-It has no interior and no wheel gaps.
-"""
+"""Takes a vehicle's hull from six sides, without interior and wheel gaps, and cuts it across."""
 
 from __future__ import annotations
 
@@ -24,21 +21,16 @@ _CLEAR_M = 0.4
 
 @dataclass(frozen=True)
 class Hull:
-    """The outer surface as four height fields over square cells.
+    """The smoothed outer surface as height fields over square cells.
 
-    It is smoothed of what a coarse skin cannot follow.
-
-    Cell `[i, j]` has its centre at `start + (i + 0.5, j + 0.5) * cell` on the two axes it lies on.
+    Cell `[i, j]` has its centre at `start + (i + 0.5, j + 0.5) * cell` on its two axes.
 
     Attributes:
-        cell: side of a cell, metres.
-        start: x, y, z of the cells' first corner.
-        top: `[X, Y]` height of the surface seen from above; -inf where nothing is.
-        sides: `[2, X, Z]` distance of the surface from y = 0 seen from the left and the right; 0
-            where nothing is.
-        front, rear: `[Y, Z]` x of the surface seen from the front and from behind; NaN where
-            nothing is.
-        low: `[X]` lower edge as seen from the side: tyres, sills, bumpers.
+        start: x, y, z of the cells' first corner, metres, like `cell`.
+        top: `[X, Y]` height seen from above; -inf without surface.
+        sides: `[2, X, Z]` distance from y = 0 seen from left and right; 0 without surface.
+        front, rear: `[Y, Z]` x seen from the front and from behind; NaN without surface.
+        low: `[X]` lower edge seen from the side: tyres, sills, bumpers.
         floor: `[X]` height of the underside between the wheels.
     """
 
@@ -107,13 +99,9 @@ def no_body() -> ConfigurationError:
 def find_hull(corners: Float[np.ndarray, "F 3 3"]) -> Hull:
     """Looks at a mesh from six sides.
 
-    From the outline seen from above, what is narrower than 32 cm and stands out is taken off:
-    mirrors. Gaps in the sides up to 14 cm and on top up to 26 cm are closed: wheel arches, ladders.
-
-    Args:
-        corners: triangles in the vehicle's axes.
+    It takes mirrors and other parts below 32 cm off the outline from above, and closes gaps in the
+    sides up to 14 cm and on top up to 26 cm: wheel arches, ladders.
     """
-    # The grid.
     points = corners.reshape(-1, 3)
     extent = np.ptp(points, axis=0)
     cell = max(_CELL_M, float(extent[0]) / 700)
@@ -161,7 +149,6 @@ def find_hull(corners: Float[np.ndarray, "F 3 3"]) -> Hull:
     )
     sides = np.minimum(sides, reach[:, :, None])
 
-    # From below: lower edge and floor.
     solid = sides.max(0) > 0.6 * sides.max((0, 2))[:, None]
     low = np.where(solid.any(1), z[solid.argmax(1)] - cell / 2, np.nan).clip(0.0)
     if not np.isfinite(low).any():
@@ -176,7 +163,6 @@ def find_hull(corners: Float[np.ndarray, "F 3 3"]) -> Hull:
     # Without a floor of its own one sees up into the roof.
     floor = np.minimum(floor, np.median(low) + 0.25)
 
-    # From the front and from behind.
     ends = start[0] + (np.flatnonzero(footprint.any(1))[[0, -1]] + [0, 1]) * cell
     front = look(1, 2, 0, 1.0)
     rear = -look(1, 2, 0, -1.0)
@@ -216,9 +202,9 @@ class Sections:
 
     Attributes:
         station: `[S]` x of the planes, ascending, metres.
-        axis_z: `[S]` height of the point that the directions start from.
-        radius: `[S, 360]` distance to the hull; direction i points at `-90 + i` degrees, from
-            straight down (0) over the left side (90) and straight up (180) to the right side (270).
+        axis_z: `[S]` height of the directions' origin.
+        radius: `[S, 360]` distance to the hull; direction i points at `-90 + i` degrees: down (0),
+            left (90), up (180), right (270).
         low, floor: `[S]` as in `Hull`.
     """
 
@@ -244,9 +230,8 @@ def _directions() -> Float[np.ndarray, "D 2"]:
 
 
 def cut_sections(hull: Hull) -> Sections:
-    """Cuts an outline for every x at which the hull has cells.
-
-    It lies where rays from the axis leave the hull for the last time.
+    """Cuts an outline for every x with cells: the last place where rays from the axis leave the
+    hull.
     """
     count_y = hull.top.shape[1]
     count_z = hull.sides.shape[2]

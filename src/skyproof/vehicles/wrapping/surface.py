@@ -1,7 +1,5 @@
 """Lays the template on a hull: where its rings stand, and where the 32 points of each ring lie."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,9 +41,8 @@ class Wrapping:
 
     Attributes:
         vertices: `[994, 3]` float32, vehicle axes, in template order.
-        station: `[27]` x of the rings that lie in planes, from nose to tail.
-        belt_m: shoulder height that column 7 follows along the windows.
-        hull: what it was laid on.
+        station: `[27]` x of the rings in planes, from nose to tail.
+        belt_m: height of the shoulder (column 7) along the windows.
     """
 
     vertices: Float[Tensor, "994 3"]
@@ -57,13 +54,10 @@ class Wrapping:
 def wrap_surface(corners: Float[np.ndarray, "F 3 3"]) -> Wrapping:
     """Wraps the template around a mesh.
 
-    27 rings lie in planes across the long axis, two more and a pole close each end, as on drawn
-    bodies. Columns follow the drawn bodies': 0 and 1 on the floor, 2 at the lower edge (a tyre's
-    bottom, or the sill), 7 at the shoulder, 11 along the roof rail, 16 in the middle. Between 2 and
-    7 they lie at even heights, elsewhere at even distances.
-
-    Args:
-        corners: triangles in the vehicle's axes.
+    27 rings lie in planes across the long axis, two more and a pole close each end. Columns are
+    those of drawn bodies: 0 and 1 on the floor, 2 at the lower edge, 7 at the shoulder, 11 along
+    the roof rail, 16 in the middle. Between 2 and 7 they lie at even heights, elsewhere at even
+    distances.
 
     Raises:
         ConfigurationError: there is no closed body.
@@ -115,9 +109,8 @@ def _end(sections: Sections, step: int) -> int:
 
 
 def _choose_stations(sections: Sections) -> Int[np.ndarray, " 27"]:
-    """Chooses 27 planes between which straight lines follow the profiles best.
-
-    By dynamic programming.
+    """Chooses, by dynamic programming, 27 planes whose straight connections follow the profiles
+    best.
     """
     first = _end(sections, 1)
     last = _end(sections, -1)
@@ -150,10 +143,7 @@ def _choose_stations(sections: Sections) -> Int[np.ndarray, " 27"]:
 
 
 def _belt_height(sections: Sections) -> float:
-    """Finds the shoulder: where the sides of the middle half begin to lean in.
-
-    It is 0.6 of the height where they are upright.
-    """
+    """Finds the shoulder, where the middle half's sides lean in; 0.6 of the height if upright."""
     y, z = sections.points()
     middle = np.abs(sections.station) < 0.3 * np.ptp(sections.station)
     side = z[middle].ravel()
@@ -184,12 +174,9 @@ _ANGLE = np.radians(-90 + np.arange(DIRECTIONS // 2 + 1))
 def _places(
     sections: Sections, mean: Float[np.ndarray, "S 181"], belt: float
 ) -> Float[np.ndarray, "S 17"]:
-    """Finds for every plane where on the half outline columns 7 to 16 lie.
+    """Finds the (fractional) directions of columns 7 to 16 on the half outline of every plane.
 
-    They are (fractional) directions, on both sides alike.
-
-    Columns 0 to 6 are left at 0. The rail's place is smoothed along the vehicle, so that the
-    columns run evenly.
+    Columns 0 to 6 stay 0. The rail is smoothed along the vehicle, so that columns run evenly.
     """
     # How the columns above the belt share the way to the roof's middle.
     u = column_u().numpy()[: _HALF + 1]
@@ -274,10 +261,7 @@ def _ring(
 
 
 def _cap(hull: Hull, end: Float[np.ndarray, "32 3"], *, nose: bool) -> Float[np.ndarray, "3 32 3"]:
-    """Returns a pole (as the first row) and two shrinking rings on a bumper's face.
-
-    They lie before the foremost ring, or behind the last.
-    """
+    """A pole (first row) and two shrinking rings on a bumper's face, beyond the end ring."""
     sign = 1.0 if nose else -1.0
     pole = np.array([end[0, 0], 0.0, (end[0, 2] + end[_HALF, 2]) / 2])
     rings = []

@@ -1,7 +1,5 @@
 """Parallel views of a mesh, whichever way its triangles are wound, for looking and measuring."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,11 +11,11 @@ from skyproof.geometry.rasterise import barycentric, rasterise
 
 @dataclass(frozen=True)
 class View:
-    """What each pixel sees.
+    """The visible triangle of each pixel.
 
     Attributes:
-        face: `[H, W]` triangle, -1 where nothing is.
-        weights: `[H, W, 3]` barycentric weights of the pixel's centre in it.
+        face: `[H, W]` triangle, -1 without any.
+        weights: `[H, W, 3]` barycentric weights of the pixel's centre.
     """
 
     face: Int[np.ndarray, "H W"]
@@ -43,9 +41,8 @@ def parallel_view(
 
     Args:
         corners: metres in the view's axes: right, down, away.
-        origin: right and down of the picture's top-left corner.
-        pixel: side of a pixel in metres.
-        size: height and width in pixels.
+        origin: right and down of the top-left corner.
+        size: height and width in pixels, of `pixel` metres.
     """
     height, width = size
     screen = torch.from_numpy((corners[..., :2] - origin) / pixel)

@@ -1,7 +1,5 @@
 """Brings a mesh file onto the shared template: vertices, texture, parts, and how well it fits."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -30,12 +28,7 @@ class WrappedVehicle:
     """One mesh on the template.
 
     Attributes:
-        mesh: the mesh in the vehicle's axes.
-        vertices: `[994, 3]` metres.
-        texture: `[3, 512, 512]` sRGB as bytes.
-        parts: `[512, 512]` values of `Part`.
-        report: how it was oriented, measured (`measure_wrapping`) and labelled, and notes on what
-            was repaired.
+        report: orientation, fit (`measure_wrapping`), labels, and notes on repairs.
     """
 
     mesh: SourceMesh
@@ -56,15 +49,13 @@ def wrap_mesh(
     """Wraps one mesh file.
 
     Args:
-        path: OBJ or GLB, for instance.
         scale, up, forward: as in `orient`.
-        paintable: picture on the mesh's own UVs, bright where there is paint; None takes the
-            textures' alpha, if it says anything.
+        paintable: picture on the mesh's own UVs, bright for paint; the default is the textures'
+            alpha, if it varies.
 
     Raises:
         ConfigurationError: unreadable, no triangles, not a vehicle's size, or axes that do not fit.
     """
-    # The mesh in the vehicle's axes, and what of it is seen from outside.
     mask = None if paintable is None else _read_mask(paintable)
     mesh, facts = orient(read_mesh(path), scale=scale, up=up, forward=forward)
     notes = list(mesh.notes)
@@ -76,7 +67,6 @@ def wrap_mesh(
         )
     if not any(m.picture is not None for m in mesh.materials) and np.isnan(mesh.colours).any():
         notes.append("no texture: plain colours of materials or parts are used.")
-    # The template around it, with colours and parts.
     wrapping = wrap_surface(mesh.corners)
     texels = bake(mesh, outer, wrapping, mask)
     clear = float((texels.alpha < 0.5).mean())
@@ -94,7 +84,6 @@ def wrap_mesh(
     colour = np.where(
         plain[..., None], np.array(list(PLAIN_COLOURS.values()))[parts], texels.colour
     )
-    # How well it fits.
     low = wrapping.vertices.amin(0)
     high = wrapping.vertices.amax(0)
     report = {
