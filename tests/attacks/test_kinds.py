@@ -110,8 +110,10 @@ def mean_loss(camouflage, world):
     return float(BrightnessDetector().loss(images, []).mean())
 
 
-@pytest.mark.parametrize("name", KINDS)
-def test_every_kind_hides_vehicles_better_than_at_its_start(tmp_path, world, name):
+@pytest.mark.parametrize(
+    "name", ["T-PixLc", "T-PixFcMa", "S-O@1.0", "C-PixFcMa-seq@0.2", "C-Lc-par@0.3"]
+)
+def test_every_part_hides_vehicles_better_than_at_its_start(tmp_path, world, name):
     settings = dataclasses.replace(FEW, steps=8, batch_size=3)
     before = start(name)
     before.finalise()

@@ -34,7 +34,6 @@ __all__ = ["world"]
 
 FEW = QuerySettings(images=320, batch_size=2, seed=3)
 KEPT = replace(FEW, keep_at=(60, 250))
-KINDS = ["T-Pix", "T-PixFcMa", "S-O@0.4", "C-PixFc-seq@0.3"]
 
 
 class Answering:
@@ -83,28 +82,23 @@ def searched(world: World, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("name", [*KINDS, "R-PixFc_search"])
+@pytest.mark.parametrize("name", ["T-PixFc", "S-O@0.4", "R-PixFc_search"])
 def test_answers_alone_find_something_better(tmp_path: Path, world: World, name: str) -> None:
-    before = mean_score(finished(name), world)
+    before = finished(name)
     detector = Answering()
     found = query_attack(finished(name), judge(detector), world, FEW, tmp_path)
-    assert mean_score(found, world) < before
+    assert mean_score(found, world) < mean_score(before, world)
+    # Colours stay those of the palette.
+    if isinstance(found, UniversalTexture) and isinstance(before, UniversalTexture):
+        assert torch.equal(found.palette, before.palette)
+        assert found.bytes().flatten(1).unique(dim=1).shape[1] <= len(before.palette)
+        assert not torch.equal(found.bytes(), before.bytes())
     assert str(load_camouflage(tmp_path).name) == str(found.name) == name
     asked = read_record(tmp_path)["queries"]
     assert FEW.images - 40 < asked["images"] <= FEW.images
     assert asked["images"] == detector.images
     if not found.name.random:
         assert asked["judged"]["scenes"] == 16
-
-
-def test_colours_stay_those_of_the_palette(tmp_path: Path, world: World) -> None:
-    before = finished("T-PixFc")
-    found = query_attack(before, judge(Answering()), world, FEW, tmp_path)
-    assert isinstance(found, UniversalTexture)
-    assert isinstance(before, UniversalTexture)
-    assert torch.equal(found.palette, before.palette)
-    assert found.bytes().flatten(1).unique(dim=1).shape[1] <= len(before.palette)
-    assert not torch.equal(found.bytes(), before.bytes())
 
 
 def test_a_search_is_never_a_step_back(tmp_path: Path, world: World) -> None:

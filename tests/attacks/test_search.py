@@ -25,7 +25,7 @@ from tests.attacks.test_kinds import FEW, PALETTE, BrightnessDetector, mean_loss
 
 __all__ = ["world"]
 
-SEARCHED = ["R-U_search", "R-PixLcMa_search", "R-S-O@0.4_search", "R-C-PixFc@0.3_search"]
+SEARCHED = ["R-PixLcMa_search", "R-C-PixFc@0.3_search"]
 
 
 class Counting(BrightnessDetector):

@@ -50,6 +50,7 @@ def test_a_learnt_texture_hides_more_than_a_random_one(
         assert learnt[name] >= control[name] + LEAST_GAIN, (learnt, control)
 
 
+@pytest.mark.slow
 def test_a_learnt_shape_hides_more_than_every_vertex_pushed_out(
     attacked: Attacked, tmp_path: Path
 ) -> None:
