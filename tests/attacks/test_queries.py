@@ -11,9 +11,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from skyproof.attacks.coarse import MOST_NUMBERS, CoarseChange
 from skyproof.attacks.objective import target_scores
-from skyproof.attacks.queries import query_attack
+from skyproof.attacks.queries import MOST_NUMBERS, CoarseChange, query_attack
 from skyproof.attacks.settings import QuerySettings
 from skyproof.attacks.world import World
 from skyproof.camouflage.camouflage import Camouflage

@@ -3,9 +3,9 @@
 import pytest
 import torch
 
-from skyproof.camouflage.account import practicality_account
 from skyproof.camouflage.make import make_camouflage
 from skyproof.camouflage.measures import measure_texture
+from skyproof.camouflage.practicality import practicality_account
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 
 PALETTE = (
@@ -51,8 +51,10 @@ def test_quantities_are_those_of_the_map_and_the_mask(vehicles):
     )
     found = practicality_account(control, vehicles)["texture"]
     wanted = measure_texture(vehicles, control.bytes(), control.mask(vehicles), 16)
-    assert found["painted_area_m2"] == pytest.approx(sum(one.painted_area_m2 for one in wanted) / 2)
-    assert found["blocks"] == sum(one.blocks for one in wanted) / 2
+    assert found["painted_area_m2"] == pytest.approx(
+        sum(one["painted_area_m2"] for one in wanted) / 2
+    )
+    assert found["blocks"] == sum(one["blocks"] for one in wanted) / 2
     assert found["colours"] == 5
 
 

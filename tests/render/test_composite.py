@@ -7,10 +7,10 @@ import pytest
 import torch
 
 from skyproof.render.composite import composite
-from skyproof.render.layers import Layers
+from skyproof.render.layers import WindowLayers
 from skyproof.render.lighting import scene_lights
+from skyproof.render.placed import Windows
 from skyproof.render.settings import RenderSettings
-from skyproof.render.windows import Windows
 from skyproof.scenes.light import Light
 from skyproof.scenes.sensor import Sensor
 from tests.render.bodies import scene
@@ -113,8 +113,8 @@ def compose(
 ):
     return composite(
         photograph.clone(),
-        bodies=Layers(Windows(torch.tensor(body_at), bodies.shape[-1]), bodies),
-        shadows=Layers(Windows(torch.tensor(shadow_at), shadows.shape[-1]), shadows),
+        bodies=WindowLayers(Windows(torch.tensor(body_at), bodies.shape[-1]), bodies),
+        shadows=WindowLayers(Windows(torch.tensor(shadow_at), shadows.shape[-1]), shadows),
         scene=torch.tensor(scenes),
         nearness=torch.tensor(nearness, dtype=photograph.dtype),
         seeds=list(seeds),
@@ -161,7 +161,7 @@ def test_one_pixel_spreads_over_the_papers_kernel_and_no_further(sigma_px, side)
 def test_pixels_that_nothing_reaches_keep_the_photographs_bits():
     settings = RenderSettings(blur_sigma_px=2.4)
     photograph = noise_photograph().float()
-    # Layers with an empty rim: its pixels are computed, and must come out as they were.
+    # WindowLayers with an empty rim: its pixels are computed, and must come out as they were.
     body, shadow = (
         torch.nn.functional.pad(layer(9, seed).float(), (6, 6, 6, 6)) for seed in (1, 2)
     )

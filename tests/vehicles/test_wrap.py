@@ -14,8 +14,7 @@ from scipy.spatial import ConvexHull
 from trimesh.visual.material import SimpleMaterial
 
 from skyproof.camouflage.make import make_camouflage
-from skyproof.camouflage.measures import measure_texture
-from skyproof.camouflage.shape_measures import measure_shape
+from skyproof.camouflage.measures import measure_shape, measure_texture
 from skyproof.geometry.intersections import self_intersections
 from skyproof.geometry.meshes import enclosed_volume_m3
 from skyproof.main import run
@@ -198,7 +197,7 @@ def test_every_camouflage_applies_to_it() -> None:
             (measured,) = measure_texture(
                 vehicles, torch.zeros(3, 512, 512), worn.overlay.mask, None
             )
-            assert 5.0 < measured.painted_area_m2 < 20.0
+            assert 5.0 < measured["painted_area_m2"] < 20.0
         if name == "R-S-O@0.3":
             measure_shape(vehicles, worn)
             # The middle of the underside stays, the faces of the bumpers aside.

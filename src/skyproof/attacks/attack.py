@@ -239,21 +239,14 @@ class _Run:
 def attack_weights(
     detectors: Sequence[TrainableDetector], world: World, settings: AttackSettings
 ) -> dict[str, float]:
-    """Gives the weights that make every detector's term 1 without camouflage.
-
-    Raises:
-        ConfigurationError: a detector's loss is below zero.
-        NotFiniteError: a loss is not finite.
+    """Gives the weights that make every detector's term 1 without camouflage; errors as in
+    `attack`.
     """
     return balanced_weights(_losses(None, detectors, world, settings))
 
 
 def make_optimiser(camouflage: Camouflage, settings: AttackSettings) -> torch.optim.Adam:
-    """Makes Adam for the start of an attack, with a learning rate for every parameter.
-
-    Raises:
-        ConfigurationError: the camouflage has no parameter to optimise.
-    """
+    """Makes Adam for the start of an attack, with a learning rate for every parameter."""
     groups = [
         {
             "params": [value],

@@ -7,6 +7,7 @@ a random draw.
 """
 
 import copy
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -15,13 +16,16 @@ from typing import Any
 import numpy as np
 import torch
 from cmaes import CMA
+from jaxtyping import Float
+from torch import nn
 
-from skyproof.attacks.coarse import CoarseChange
 from skyproof.attacks.held_out import HeldOut
 from skyproof.attacks.objective import target_scores
 from skyproof.attacks.settings import QuerySettings
 from skyproof.attacks.world import World
 from skyproof.camouflage.camouflage import Camouflage
+from skyproof.camouflage.combination import Combination
+from skyproof.camouflage.displacement import DisplacementMap
 from skyproof.camouflage.folder import load_camouflage, read_record, save_camouflage
 from skyproof.camouflage.texture import UniversalTexture
 from skyproof.detectors.detector import Detector
@@ -36,6 +40,62 @@ from skyproof.ranges import Fraction
 _OTHER = "a search with other settings or from another start"
 _SPREAD = 0.2
 """Standard deviation of the first candidates, whose values go from 0 to 1."""
+
+
+MOST_NUMBERS = 60
+
+# With as many images, 48 numbers (4 x 4 fields) found nothing better than their start, and 12 (4
+# bands) did: docs/attacks.md.
+_TEXTURE_BANDS = 4
+_SHAPE_BANDS = 8
+
+
+class CoarseChange:
+    """Offsets on bands across the cells of a texture (sRGB), or across the reach of a shape.
+
+    The start is a finished camouflage and is not changed. Of a combination the shape moves.
+
+    Raises:
+        ConfigurationError: a camouflage of another kind, or of few colours.
+    """
+
+    def __init__(self, start: Camouflage) -> None:
+        self._start = start
+        moved = _moved(start)
+        # A shape has one value a place.
+        channels, bands = (len(moved), _TEXTURE_BANDS) if moved.ndim == 3 else (1, _SHAPE_BANDS)
+        self.shape = (channels, max(1, min(bands, MOST_NUMBERS // channels)))
+
+    @property
+    def count(self) -> int:
+        """The number of offsets."""
+        return math.prod(self.shape)
+
+    def __call__(self, numbers: Float[np.ndarray, " K"]) -> Camouflage:
+        """Gives the finished camouflage of some offsets; zeros give the start."""
+        changed = copy.deepcopy(self._start)
+        moved = _moved(changed)
+        offsets = torch.as_tensor(numbers, dtype=moved.dtype).reshape(self.shape)
+        rows = moved.shape[-2]
+        band = ((torch.arange(rows) + 0.5) * self.shape[1] / rows).long()
+        by_row = offsets[:, band].reshape(*moved.shape[:-1], 1).to(moved.device)
+        with torch.no_grad():
+            moved.add_(by_row)
+        changed.project_()
+        changed.finalise()
+        return changed.requires_grad_(False)
+
+
+def _moved(camouflage: Camouflage) -> nn.Parameter:
+    part: nn.Module = camouflage.shape if isinstance(camouflage, Combination) else camouflage
+    if isinstance(part, UniversalTexture) and not part.restricted:
+        return part.cells
+    if isinstance(part, DisplacementMap):
+        return part.reach
+    raise ConfigurationError(
+        f"{camouflage.name} is neither a texture of free colours nor a shape, so there is nothing "
+        "to move by degrees; give one that skyproof made."
+    )
 
 
 class _Evolution:

@@ -1,7 +1,7 @@
 """The sign test of an attack's gradient: a step must lower the target's scores."""
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -15,8 +15,6 @@ from skyproof.attacks.world import World
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.errors import NotFiniteError
-from skyproof.render.frames import Frames
-from skyproof.scenes.scene import Scene
 
 
 def sign_test(
@@ -46,9 +44,13 @@ def sign_test(
         weights = attack_weights(detectors, world, settings)
         for batch in range(settings.balance_batches):
             scenes = world.step_scenes(settings.batch_size, settings.seed, -batch)
-            frames, stepped = _before_and_after(
-                camouflage, detectors, weights, world, settings, scenes
-            )
+            moved = copy.deepcopy(camouflage)
+            moved.before_step_(1, settings.steps)
+            frames = world.frames(moved, scenes)
+            _, gradient = objective_and_gradient(detectors, weights, frames.image)
+            descend(moved, make_optimiser(moved, settings), frames.image, gradient)
+            with torch.no_grad():
+                stepped = world.frames(moved, scenes)
             for detector in detectors:
                 before[detector.name].append(target_scores(detector, frames, gsd_m))
                 after[detector.name].append(target_scores(detector, stepped, gsd_m))
@@ -59,24 +61,6 @@ def sign_test(
                 "or import it again, or attack with a lower learning rate."
             )
     return {name: _compared(torch.cat(before[name]), torch.cat(after[name])) for name in before}
-
-
-def _before_and_after(
-    camouflage: Camouflage,
-    detectors: Sequence[TrainableDetector],
-    weights: Mapping[str, float],
-    world: World,
-    settings: AttackSettings,
-    scenes: list[Scene],
-) -> tuple[Frames, Frames]:
-    """The scenes with the given camouflage, and after the first step of an attack on them."""
-    moved = copy.deepcopy(camouflage)
-    moved.before_step_(1, settings.steps)
-    frames = world.frames(moved, scenes)
-    _, gradient = objective_and_gradient(detectors, weights, frames.image)
-    descend(moved, make_optimiser(moved, settings), frames.image, gradient)
-    with torch.no_grad():
-        return frames, world.frames(moved, scenes)
 
 
 def _compared(before: Tensor, after: Tensor) -> dict[str, Any]:

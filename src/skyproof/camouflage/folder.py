@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import msgspec
 import torch
@@ -70,15 +70,10 @@ def load_camouflage(folder: str | Path) -> Camouflage:
 
 
 def read_record(folder: Path) -> dict[str, Any]:
-    """Reads the record that `save_camouflage` was given.
-
-    Raises:
-        StoredFileError: `camouflage.json` is missing, damaged or of another version.
-    """
+    """Reads the record that `save_camouflage` was given; errors as in `load_camouflage`."""
     return _read(folder).record
 
 
-# Folders of older form hold fields more: these kinds skip them.
 class _Texture(msgspec.Struct, tag_field="kind", tag="UniversalTexture"):
     name: Name
     blocks: Blocks
@@ -97,16 +92,16 @@ class _Both(msgspec.Struct, tag_field="kind", tag="Combination"):
     turn_steps: Count | None
 
 
-class _Document(msgspec.Struct):
+class _StoredCamouflage(msgspec.Struct):
     """What `camouflage.json` holds beside its format."""
 
     camouflage: _Texture | _Shape | _Both
     record: dict[str, Any] = {}
 
 
-def _read(folder: str | Path) -> _Document:
+def _read(folder: str | Path) -> _StoredCamouflage:
     path = Path(folder) / "camouflage.json"
-    return read_document(path, _Document, _REMEDY, version=_FORMAT)
+    return read_document(path, _StoredCamouflage, _REMEDY, version=_FORMAT)
 
 
 def _misfit(wanted: Mapping[str, Tensor], given: Mapping[str, Tensor]) -> str:
@@ -124,36 +119,32 @@ def _flat(error: Exception) -> str:
 
 
 def describe_camouflage(camouflage: Camouflage) -> dict[str, Any]:
-    """Says what is needed to build a camouflage again, but for its tensors, as JSON values."""
-    described: dict[str, Any] = {"kind": type(camouflage).__name__, "name": str(camouflage.name)}
+    """Gives what builds a camouflage again beside its tensors, as JSON values."""
+    described: dict[str, Any] = msgspec.to_builtins(_described(camouflage))
+    return described
+
+
+def _described(camouflage: Camouflage) -> _Texture | _Shape | _Both:
+    name = str(camouflage.name)
+    if isinstance(camouflage, Combination):
+        texture, shape = _described(camouflage.texture), _described(camouflage.shape)
+        return _Both(name, cast(_Texture, texture), cast(_Shape, shape), camouflage.turn_steps)
     if isinstance(camouflage, UniversalTexture):
         colours = len(camouflage.palette) if camouflage.restricted else None
-        return described | {"blocks": camouflage.blocks, "colours": colours}
-    if isinstance(camouflage, DisplacementMap):
-        return described | {"frozen_parts": camouflage.frozen_parts}
-    if isinstance(camouflage, Combination):
-        return described | {
-            "texture": describe_camouflage(camouflage.texture),
-            "shape": describe_camouflage(camouflage.shape),
-            "turn_steps": camouflage.turn_steps,
-        }
-    return described
+        return _Texture(name, camouflage.blocks, colours)
+    assert isinstance(camouflage, DisplacementMap)
+    return _Shape(name, camouflage.frozen_parts)
 
 
 def _build(described: _Texture | _Shape | _Both) -> Camouflage:
     name = CamouflageName.parse(described.name)
     if isinstance(described, _Both):
-        return Combination(
-            name,
-            _build_texture(described.texture),
-            _build_shape(described.shape),
-            turn_steps=described.turn_steps,
-        )
-    return _build_texture(described) if isinstance(described, _Texture) else _build_shape(described)
-
-
-def _build_texture(described: _Texture) -> UniversalTexture:
-    name = CamouflageName.parse(described.name)
+        texture, shape = _build(described.texture), _build(described.shape)
+        assert isinstance(texture, UniversalTexture)
+        assert isinstance(shape, DisplacementMap)
+        return Combination(name, texture, shape, turn_steps=described.turn_steps)
+    if isinstance(described, _Shape):
+        return DisplacementMap(name, frozen_parts=described.frozen_parts)
     kind = "free" if name.constraints is None else name.constraints.colours
     if (described.colours is None) != (kind == "free"):
         raise ConfigurationError(f"{name} expects {kind} colours, got {described.colours}.")
@@ -164,11 +155,6 @@ def _build_texture(described: _Texture) -> UniversalTexture:
         colours=described.colours or 2,
         blocks=described.blocks,
     )
-
-
-def _build_shape(described: _Shape) -> DisplacementMap:
-    name = CamouflageName.parse(described.name)
-    return DisplacementMap(name, frozen_parts=described.frozen_parts)
 
 
 def _write_png(path: Path, pixels: Tensor) -> None:

@@ -1,5 +1,7 @@
 """Camouflages from their names: "T-PixFcMa", "S-O@0.4", "C-Fc-par@0.2", "R-PixFcMa"."""
 
+from typing import Any
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -58,28 +60,16 @@ def make_camouflage(
     return made
 
 
-def draw_control(
-    name: CamouflageName,
-    *,
-    seed: int,
-    palette: Float[Tensor, "K 3"] | None = None,
-    texture: Camouflage | None = None,
-    settings: CamouflageSettings | None = None,
-) -> Camouflage:
-    """Draws a random control, such as "R-PixFc-3", from its name and the seed of the run."""
-    generator = generator_of(seed, "control", str(name))
-    return make_camouflage(
-        name, generator=generator, palette=palette, texture=texture, settings=settings
-    )
+def draw_control(name: CamouflageName, *, seed: int, **given: Any) -> Camouflage:
+    """Draws a random control, such as "R-PixFc-3", from its name and the seed of the run.
+
+    Further arguments are those of `make_camouflage`.
+    """
+    return make_camouflage(name, generator=generator_of(seed, "control", str(name)), **given)
 
 
 def make_candidates(
-    name: CamouflageName,
-    draws: int,
-    *,
-    seed: int,
-    palette: Float[Tensor, "K 3"] | None = None,
-    settings: CamouflageSettings | None = None,
+    name: CamouflageName, draws: int, *, seed: int, **given: Any
 ) -> list[Camouflage]:
     """Makes the candidates of a chosen control.
 
@@ -96,7 +86,7 @@ def make_candidates(
     if name.choice != "best":
         raise ConfigurationError(f"{name} names no control that is chosen from others.")
     names = [name.base.with_repeat(draw) for draw in range(draws)]
-    return [draw_control(each, seed=seed, palette=palette, settings=settings) for each in names]
+    return [draw_control(each, seed=seed, **given) for each in names]
 
 
 def _plain(name: CamouflageName) -> list[Camouflage]:

@@ -1,6 +1,6 @@
-"""What a texture would take on real vehicles: painted area, blocks, colours, boundaries."""
+"""The cost of a camouflage on real vehicles: area, blocks, colours, volume, crossings."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from statistics import fmean
 
 import numpy as np
@@ -12,33 +12,12 @@ from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 from skyproof.errors import ConfigurationError
+from skyproof.geometry.intersections import self_intersections
+from skyproof.geometry.meshes import enclosed_volume_m3
 from skyproof.vehicles.texels import texel_metric, texel_regions
 from skyproof.vehicles.vehicle import TEXTURE_SIZE, Part, VehicleBatch
 
 _BLOCK_REGIONS = ("roof", "bonnet", "sides")
-_PLAIN = ("painted_area_m2", "colours", "boundary_m", "regions")
-
-
-@dataclass(frozen=True)
-class TextureMeasures:
-    """One texture on one vehicle.
-
-    Attributes:
-        painted_area_m2: area of the covered texels.
-        colours: different 8-bit colours among them.
-        boundary_m: length of all edges between covered texels of different colour.
-        regions: connected areas of one colour, across edges, not corners.
-        blocks: blocks of Pix with a covered texel; None without Pix.
-        block_cm: median size of a block by region, such as {"roof": (15.8, 18.1)}, around the body
-            (u) and along it (v); empty without Pix.
-    """
-
-    painted_area_m2: float
-    colours: int
-    boundary_m: float
-    regions: int
-    blocks: int | None
-    block_cm: dict[str, tuple[float, float]]
 
 
 def measure_texture(
@@ -46,13 +25,19 @@ def measure_texture(
     texture: Float[Tensor, "3 512 512"] | UInt8[Tensor, "3 512 512"],
     mask: Bool[Tensor, "N 512 512"] | None,
     block_px: int | None,
-) -> tuple[TextureMeasures, ...]:
+) -> list[dict[str, float]]:
     """Measures a universal texture on each vehicle, in its present shape.
 
     Args:
         texture: the map, sRGB in [0, 1] or bytes; colours are compared as bytes.
         mask: cover on each vehicle; None for everything but the underside.
         block_px: side of a block of Pix in texels; None without Pix.
+
+    Returns:
+        Per vehicle "painted_area_m2" of the covered texels, their different 8-bit "colours",
+        "boundary_m" of all edges between different colours, and "regions" of one colour, connected
+        across edges. With Pix "blocks" that are covered, and their median size around the body (u)
+        and along it (v), such as "block_roof_u_cm".
 
     Raises:
         ConfigurationError: blocks that do not fit the map a whole number of times.
@@ -69,29 +54,66 @@ def measure_texture(
     # A texel and its right neighbour, circular in u, meet along v; with the one below along u.
     edge_right = (length_v + length_v.roll(-1, 2)) / 2
     edge_below = (length_u[:, :-1] + length_u[:, 1:]) / 2
-    block_sizes = (
-        [{}] * len(vehicles)
-        if block_px is None
-        else _block_sizes(vehicles, length_u, length_v, block_px)
-    )
-
+    regions = {} if block_px is None else texel_regions(vehicles)
     measures = []
     for i, inside in enumerate(painted):
         both_right = inside & inside.roll(-1, 1)
         both_below = inside[:-1] & inside[1:]
         across = edge_right[i][both_right & ~same_right].double().sum()
         along = edge_below[i][both_below & ~same_below].double().sum()
-        measures.append(
-            TextureMeasures(
-                painted_area_m2=float(area[i][inside].double().sum()),
-                colours=int((torch.bincount(colour[inside], minlength=colours) > 0).sum()),
-                boundary_m=float(across + along),
-                regions=_count_regions(inside, both_right & same_right, both_below & same_below),
-                blocks=None if block_px is None else _count_blocks(inside, block_px),
-                block_cm=block_sizes[i],
-            )
+        row = {
+            "painted_area_m2": float(area[i][inside].double().sum()),
+            "colours": int((torch.bincount(colour[inside], minlength=colours) > 0).sum()),
+            "boundary_m": float(across + along),
+            "regions": _count_regions(inside, both_right & same_right, both_below & same_below),
+        }
+        if block_px is not None:
+            blocks = inside.unflatten(1, (-1, block_px)).unflatten(0, (-1, block_px))
+            row["blocks"] = int(blocks.any(3).any(1).sum())
+            for name in _BLOCK_REGIONS:
+                region = regions[name][i]
+                if region.any():
+                    for axis, lengths in (("u", length_u), ("v", length_v)):
+                        texel_m = float(lengths[i][region].median())
+                        row[f"block_{name}_{axis}_cm"] = 100 * block_px * texel_m
+        measures.append(row)
+    return measures
+
+
+@torch.no_grad()
+def measure_shape(before: VehicleBatch, after: VehicleBatch) -> list[dict[str, float]]:
+    """Measures every vehicle of a batch as built and deformed, about 50 ms each.
+
+    Returns:
+        Per vehicle "volume_m3" before, "added_volume_m3", "largest_displacement_m" of a vertex,
+        "added_length_m", "added_width_m", "added_height_m", and "intersections_before" and
+        "intersections_after" as of `self_intersections`.
+    """
+    if before.ids != after.ids:
+        raise ValueError(
+            f"expected the same vehicles before and after, got {before.ids} and {after.ids}"
         )
-    return tuple(measures)
+    faces = before.template.faces
+    volume, volume_after = (
+        enclosed_volume_m3(batch.vertices, faces).tolist() for batch in (before, after)
+    )
+    moved = (after.vertices - before.vertices).norm(dim=-1).amax(dim=1).tolist()
+    size, size_after = (
+        batch.vertices.amax(dim=1) - batch.vertices.amin(dim=1) for batch in (before, after)
+    )
+    return [
+        {
+            "volume_m3": volume[row],
+            "added_volume_m3": volume_after[row] - volume[row],
+            "largest_displacement_m": moved[row],
+            "added_length_m": length_m,
+            "added_width_m": width_m,
+            "added_height_m": height_m,
+            "intersections_before": self_intersections(before.vertices[row], faces),
+            "intersections_after": self_intersections(after.vertices[row], faces),
+        }
+        for row, (length_m, width_m, height_m) in enumerate((size_after - size).tolist())
+    ]
 
 
 def worn_texels(
@@ -101,18 +123,10 @@ def worn_texels(
     return (vehicles.parts != Part.UNDERSIDE if mask is None else mask).cpu()
 
 
-def mean_measures(measures: tuple[TextureMeasures, ...]) -> dict[str, float]:
-    """Means over vehicles, under flat names such as "painted_area_m2" and "block_roof_u_cm".
-
-    A block's size in a region is the mean over the vehicles that have the region.
-    """
+def mean_measures(measures: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Means over the vehicles that have a measure."""
     columns: dict[str, list[float]] = {}
-    for measure in measures:
-        row: dict[str, float] = {name: getattr(measure, name) for name in _PLAIN}
-        if measure.blocks is not None:
-            row["blocks"] = measure.blocks
-        for region, (u_cm, v_cm) in measure.block_cm.items():
-            row |= {f"block_{region}_u_cm": u_cm, f"block_{region}_v_cm": v_cm}
+    for row in measures:
         for name, value in row.items():
             columns.setdefault(name, []).append(value)
     return {name: fmean(values) for name, values in columns.items()}
@@ -128,28 +142,6 @@ def _numbered_colours(
     red, green, blue = texture.long()
     colours, numbered = torch.unique((red * 256 + green) * 256 + blue, return_inverse=True)
     return numbered, len(colours)
-
-
-def _block_sizes(
-    vehicles: VehicleBatch,
-    length_u: Float[Tensor, "N 512 512"],
-    length_v: Float[Tensor, "N 512 512"],
-    block_px: int,
-) -> list[dict[str, tuple[float, float]]]:
-    """Per vehicle and region: median texel times texels per block, in centimetres."""
-    sizes: list[dict[str, tuple[float, float]]] = [{} for _ in range(len(vehicles))]
-    regions = texel_regions(vehicles)
-    for name in _BLOCK_REGIONS:
-        for i, inside in enumerate(regions[name]):
-            if inside.any():
-                u_m, v_m = (float(lengths[i][inside].median()) for lengths in (length_u, length_v))
-                sizes[i][name] = (100 * block_px * u_m, 100 * block_px * v_m)
-    return sizes
-
-
-def _count_blocks(worn: Bool[Tensor, "512 512"], block_px: int) -> int:
-    blocks = worn.unflatten(1, (-1, block_px)).unflatten(0, (-1, block_px))
-    return int(blocks.any(3).any(1).sum())
 
 
 def _count_regions(

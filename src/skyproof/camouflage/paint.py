@@ -3,6 +3,7 @@
 import itertools
 
 import torch
+from torch import Tensor
 
 from skyproof.camouflage.constraints import TextureConstraints
 from skyproof.camouflage.name import CamouflageName
@@ -32,38 +33,29 @@ TWO_TONES: tuple[tuple[Colour, Colour], ...] = tuple(
 def plain_paint(colour: Colour, *, masked: bool) -> UniversalTexture:
     """Returns one colour as a finished texture, such as "R-Ma_plain_ff8000".
 
-    It is the simplest of all attacks, and the fair control of others under the same mask.
-
-    Args:
-        masked: whether it covers painted panels (Ma) instead of everything.
+    It is the simplest of all attacks, and the fair control of others under the same mask: on
+    painted panels (Ma), or everywhere.
     """
-    name = CamouflageName(
-        "texture",
-        TextureConstraints(masked=masked),
-        random=True,
-        variant=f"plain_{bytes(colour).hex()}",
-    )
-    paint = UniversalTexture(name, generator=torch.Generator())
-    with torch.no_grad():
-        paint.cells.copy_(torch.tensor(colour).view(3, 1, 1) / 255)
-    paint.finalise()
-    return paint.requires_grad_(False)
+    srgb = torch.tensor(colour).view(3, 1, 1) / 255
+    return _paint(f"plain_{bytes(colour).hex()}", srgb, masked=masked)
 
 
 def two_tone_paint(upper: Colour, lower: Colour) -> UniversalTexture:
     """Returns a finished texture of two colours above and below the shoulder, on painted panels."""
-    name = CamouflageName(
-        "texture",
-        TextureConstraints(masked=True),
-        random=True,
-        variant=f"two_tone_{bytes(upper).hex()}_{bytes(lower).hex()}",
-    )
-    paint = UniversalTexture(name, generator=torch.Generator())
     shoulder = float(column_u()[TOPOLOGY_BELT])
     u = (torch.arange(TEXTURE_SIZE) + 0.5) / TEXTURE_SIZE
     above = (u > shoulder) & (u < 1 - shoulder)
     colours = torch.tensor([lower, upper]) / 255
+    variant = f"two_tone_{bytes(upper).hex()}_{bytes(lower).hex()}"
+    return _paint(variant, colours[above.long()].T[:, None, :], masked=True)
+
+
+def _paint(variant: str, srgb: Tensor, *, masked: bool) -> UniversalTexture:
+    name = CamouflageName(
+        "texture", TextureConstraints(masked=masked), random=True, variant=variant
+    )
+    paint = UniversalTexture(name, generator=torch.Generator())
     with torch.no_grad():
-        paint.cells.copy_(colours[above.long()].T[:, None, :])
+        paint.cells.copy_(srgb)
     paint.finalise()
     return paint.requires_grad_(False)

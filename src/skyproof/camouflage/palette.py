@@ -38,8 +38,6 @@ def fit_palette(
 
     In CIELAB equal distances look about equally different, so dark ground keeps its colours.
 
-    Differences from the paper: it names no colour space.
-
     Returns:
         sRGB in [0, 1], rounded to 8 bits, the most frequent colour first.
 
@@ -69,11 +67,7 @@ def fit_palette(
 def ground_palette(
     backgrounds: BackgroundSet, colours: int = 5, *, seed: int = 0
 ) -> Float[Tensor, "K 3"]:
-    """The colours of the ground in attacks, evenly from all of its tiles (section 5.4).
-
-    Raises:
-        ConfigurationError: as of `fit_palette`.
-    """
+    """The colours of the ground in attacks, evenly from all of its tiles, as of `fit_palette`."""
     generator = generator_of(seed, "palette")
     tiles = max(1, len(backgrounds.tiles("attack")))
     per_tile = min(_PIXELS_PER_TILE, math.ceil(_PIXELS / tiles))

@@ -34,14 +34,8 @@ _GROUND_BORDER_M = 2.0
 
 @dataclass(frozen=True)
 class Job:
-    """One crop.
-
-    Attributes:
-        name: name in messages, such as "vehicle 2 of test-0007".
-        scene: index of its image.
-        window_px: left, top, width, height in image pixels; may reach beyond the image.
-        numbers: camera, sun, samples, seed.
-        arrays: vehicles, ground and sky.
+    """One crop: its name in messages, its image, left, top, width, height in image pixels (which
+    may lie beyond the image), camera, sun, samples and seed, and vehicles, ground and sky.
     """
 
     name: str

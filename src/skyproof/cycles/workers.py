@@ -100,7 +100,7 @@ class Workers:
     def _one(self, job: Job) -> np.ndarray:
         result = self.results / f"{job.digest(self.blender.version)}.npy"
         if result.exists():
-            with suppress(_Unfit):
+            with suppress(_BadPicture):
                 return _picture(result, job)
             # The file was written whole and damaged later, so it is rendered again.
         process = self._idle.get()
@@ -121,7 +121,7 @@ class Workers:
                 continue
             try:
                 return _picture(result, job)
-            except _Unfit as unfit:
+            except _BadPicture as unfit:
                 why = str(unfit)
         raise RunFolderError(
             f"Blender failed {_TRIES} times at {job.name} ({why}); if memory or disk is short make "
@@ -129,7 +129,7 @@ class Workers:
         )
 
 
-class _Unfit(Exception):
+class _BadPicture(Exception):
     """A result that does not fit its job."""
 
 
@@ -139,19 +139,19 @@ def _picture(path: Path, job: Job) -> np.ndarray:
     try:
         found = np.load(path, mmap_mode="r", allow_pickle=False)
     except (OSError, ValueError, EOFError, SyntaxError) as error:
-        raise _Unfit("its picture is missing or damaged") from error
+        raise _BadPicture("its picture is missing or damaged") from error
     if found.shape != (height, width, _CHANNELS) or found.dtype != np.float32:
-        raise _Unfit(
+        raise _BadPicture(
             f"its picture has the shape {found.shape} of {found.dtype}, expected "
             f"{(height, width, _CHANNELS)} of float32"
         )
     picture = np.array(found)
     if not np.isfinite(picture).all():
-        raise _Unfit("its picture holds values that are not finite")
+        raise _BadPicture("its picture holds values that are not finite")
     return picture
 
 
-class _Answer(msgspec.Struct):
+class _Reply(msgspec.Struct):
     """A line of a worker: first a version, later "done", or "why" not."""
 
     done: str | None = None
@@ -174,11 +174,11 @@ class _Process:
         """Its process id while it runs."""
         return None if self._process is None else self._process.pid
 
-    def ask(self, job: Path, result: Path) -> _Answer:
+    def ask(self, job: Path, result: Path) -> _Reply:
         """Runs one job."""
         try:
             if self._process is None and not self._start():
-                return _Answer(why=f"it did not start: {self._last_words()}")
+                return _Reply(why=f"it did not start: {self._last_words()}")
             assert self._process is not None
             assert self._process.stdin is not None
             self._process.stdin.write(f"{job}\t{result}\n")
@@ -187,13 +187,13 @@ class _Process:
         except msgspec.DecodeError:
             # The process lives, but its next lines cannot be trusted.
             self._end()
-            return _Answer(why="its process answered in another form")
+            return _Reply(why="its process answered in another form")
         except (BrokenPipeError, ValueError):
             answer = None
         if answer is None:
             why = f"its process died: {self._last_words()}"
             self._end()
-            return _Answer(why=why)
+            return _Reply(why=why)
         return answer
 
     def stop(self) -> None:
@@ -226,13 +226,13 @@ class _Process:
             return False
         return True
 
-    def _listen(self) -> _Answer | None:
+    def _listen(self) -> _Reply | None:
         """The next line for us; None if the process has ended."""
         assert self._process is not None
         assert self._process.stdout is not None
         while line := self._process.stdout.readline(_LONGEST_LINE):
             if line.startswith(_MARK):
-                return msgspec.json.decode(line.removeprefix(_MARK), type=_Answer)
+                return msgspec.json.decode(line.removeprefix(_MARK), type=_Reply)
         return None
 
     def _end(self) -> None:

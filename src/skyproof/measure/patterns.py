@@ -7,9 +7,9 @@ from pathlib import Path
 
 from PIL import Image
 
-from skyproof.camouflage.account import practicality_account
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.name import CamouflageName
+from skyproof.camouflage.practicality import practicality_account
 from skyproof.files import inside, write_beside, write_bytes, write_json
 from skyproof.render.portrait import portrait
 from skyproof.results.score_folder import is_pictured

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
 from skyproof.render.cover import hidden
-from skyproof.render.layers import Layers
+from skyproof.render.layers import WindowLayers
 from skyproof.render.lighting import SceneLights
 from skyproof.render.sensor import blurred, sensor_noise
 from skyproof.scenes.sensor import Sensor
@@ -17,8 +17,8 @@ from skyproof.scenes.sensor import Sensor
 def composite(
     photographs: Float[Tensor, "B 3 H W"],
     *,
-    bodies: Layers,
-    shadows: Layers,
+    bodies: WindowLayers,
+    shadows: WindowLayers,
     scene: Int[Tensor, " N"],
     nearness: Float[Tensor, " N"],
     seeds: Sequence[int],
@@ -100,7 +100,7 @@ def _planes(count: int, channels: int, area: int, device: torch.device) -> Int[T
 
 @torch.no_grad()
 def _whole(
-    drawn: Sequence[Layers],
+    drawn: Sequence[WindowLayers],
     scene: Int[Tensor, " N"],
     count: int,
     whole: tuple[int, int],
@@ -148,7 +148,7 @@ def _join(below: Tensor, above: Tensor) -> Tensor:
 
 
 def _lay(
-    drawn: Layers,
+    drawn: WindowLayers,
     origin: Int[Tensor, "B 2"],
     size: int,
     scene: Int[Tensor, " N"],

@@ -6,9 +6,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skyproof.render.placed import Placed
+from skyproof.render.placed import Placed, Windows
 from skyproof.render.shade import Lighting
-from skyproof.render.windows import Windows
 
 # A box under a Gaussian of this many heights, times this share because its sides give light back,
 # is within 0.02 of what path tracing takes from ground beside vehicles under an overcast sky.

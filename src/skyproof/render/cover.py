@@ -8,8 +8,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from skyproof.geometry.rasterise import rasterise
-from skyproof.render.placed import Placed
-from skyproof.render.windows import windows_around
+from skyproof.render.placed import Placed, windows_around
 from skyproof.scenes.scene import BackgroundWindow, Scene
 
 Cut = Callable[[BackgroundWindow, int], Tensor | None]

@@ -156,25 +156,23 @@ def _write(
     """Writes one batch of images with their labels."""
     images = (frames.image * 255).round().byte().cpu()
     masks = None if frames.masks is None else frames.masks.cpu()
-    scene_of = frames.scene_index.tolist()
-    boxes = frames.boxes.tolist()
-    centres = frames.centres.tolist()
-    fractions = frames.visible_fraction.tolist()
-    for index, scene in enumerate(scenes):
+    boxes, centres = frames.boxes.tolist(), frames.centres.tolist()
+    row = 0
+    for image, scene in zip(images, scenes, strict=True):
         annotations = []
-        rows = [row for row, owner in enumerate(scene_of) if owner == index]
-        for place, row in enumerate(rows):
+        for place, placement in enumerate(scene.placements):
             left, top, right, bottom = boxes[row]
             x, y = centres[row]
             annotations.append(
                 Annotation(
                     box_xyxy=(left, top, right, bottom),
                     centre_px=(x, y),
-                    visible_fraction=fractions[row],
+                    visible_fraction=float(frames.visible_fraction[row]),
                     mask=None if masks is None else masks[row],
-                    vehicle=scene.placements[place].vehicle,
+                    vehicle=placement.vehicle,
                     placement_index=place,
                     corners_px=tuple((x, y) for x, y in corners[row].tolist()),
                 )
             )
-        writer.add(images[index], scene.id, annotations)
+            row += 1
+        writer.add(image, scene.id, annotations)

@@ -9,11 +9,10 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from skyproof.render.frames import Frames
-from skyproof.render.layers import Layers, SeenBodies
+from skyproof.render.layers import SeenBodies, WindowLayers
 from skyproof.render.lighting import SceneLights
-from skyproof.render.placed import Placed
+from skyproof.render.placed import Placed, Windows
 from skyproof.render.shade import Lighting
-from skyproof.render.windows import Windows
 from skyproof.scenes.scene import Scene
 from skyproof.scenes.sensor import Sensor
 from skyproof.vehicles.vehicle import VehicleBatch
@@ -39,7 +38,7 @@ class GeometryBuffer:
     placed: Placed
     window: Windows
     bodies: SeenBodies
-    shadows: Layers
+    shadows: WindowLayers
     lights: SceneLights
     lighting: Lighting
     sensors: Sequence[Sensor]

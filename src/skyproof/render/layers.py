@@ -11,12 +11,11 @@ from skyproof.geometry.meshes import at_corners, vertex_normals
 from skyproof.geometry.rasterise import Visibility, barycentric, rasterise
 from skyproof.render.linear_texture import LinearTexture
 from skyproof.render.materials import CAMOUFLAGE, gloss_table
-from skyproof.render.placed import Placed
+from skyproof.render.placed import Placed, Windows
 from skyproof.render.settings import RenderSettings
 from skyproof.render.shade import Lighting, light
 from skyproof.render.silhouette import SilhouettePoints, silhouette_points
 from skyproof.render.sun_view import SunView
-from skyproof.render.windows import Windows
 from skyproof.vehicles.vehicle import VehicleBatch
 
 # Samples. A sample that happens to hit a sliver of width w has a derivative of order 1/w: right on
@@ -30,7 +29,7 @@ _TINY = 1e-24
 
 
 @dataclass(frozen=True)
-class Layers:
+class WindowLayers:
     """The drawn pixels of vehicles or shadows in their windows.
 
     Attributes:

@@ -85,10 +85,8 @@ class SceneLights:
 
 
 def sky_light(light: Light, overcast: float) -> tuple[tuple[float, float, float], float]:
-    """Returns the sky's share of the light, and the share of clouds in it.
-
-    Args:
-        overcast: share of the direct sun that the weather spreads over the sky.
+    """Returns the sky's share of the light, and the share of clouds in it, in weather that spreads
+    a share `overcast` of the direct sun over the sky.
     """
     red, green, blue = (share + (1 - share) * overcast for share in light.sky)
     mean = (red + green + blue) / 3

@@ -14,13 +14,12 @@ from skyproof.render.contact import contact_shadows, ground_shadows, surrounded
 from skyproof.render.cover import covers
 from skyproof.render.frames import Frames
 from skyproof.render.geometry_buffer import GeometryBuffer, GeometryBuffers
-from skyproof.render.layers import Layers, draw_bodies, draw_shadows, see_bodies
+from skyproof.render.layers import WindowLayers, draw_bodies, draw_shadows, see_bodies
 from skyproof.render.lighting import lighting, scene_lights
-from skyproof.render.placed import label, nothing_placed, place
+from skyproof.render.placed import label, nothing_placed, place, windows_around
 from skyproof.render.settings import RenderSettings
 from skyproof.render.sun_view import see_from_sun
 from skyproof.render.weather import finish_images, wet_grounds
-from skyproof.render.windows import windows_around
 from skyproof.scenes.light import Light
 from skyproof.scenes.scene import BackgroundWindow, Scene
 from skyproof.scenes.sensor import Sensor
@@ -154,7 +153,7 @@ class TorchRenderer:
         placed = buffer.placed
         image = composite(
             buffer.ground.clone() if again else buffer.ground,
-            bodies=Layers(buffer.window, bodies),
+            bodies=WindowLayers(buffer.window, bodies),
             shadows=buffer.shadows,
             scene=placed.scene,
             nearness=(placed.ground * placed.viewer).sum(-1),
@@ -206,7 +205,7 @@ class TorchRenderer:
             bodies=see_bodies(
                 window, placed, vehicles, sun if settings.self_shadows else None, settings
             ),
-            shadows=Layers(cast, shadows),
+            shadows=WindowLayers(cast, shadows),
             lights=lights,
             lighting=light,
             sensors=sensors(self.backgrounds, scenes, settings),

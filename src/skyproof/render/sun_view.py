@@ -8,8 +8,7 @@ from torch import Tensor
 
 from skyproof.geometry.projection import project
 from skyproof.geometry.rasterise import Visibility, at_corners, rasterise
-from skyproof.render.placed import Placed
-from skyproof.render.windows import Windows
+from skyproof.render.placed import Placed, Windows
 
 # Metres. The view has one depth for each of its samples, of a surface that it may see aslant. So
 # what is tested stands a little off its surface, and is lit a little behind that depth, too.

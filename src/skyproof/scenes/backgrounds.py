@@ -26,10 +26,7 @@ CACHE_BYTES = 256 * 2**20
 
 
 class BackgroundSet:
-    """A folder `index.json` + `tiles/*.png`; tiles are decoded once and kept while memory allows.
-
-    `sensor` and `light` are those of the tiles without their own.
-    """
+    """A folder `index.json` + `tiles/*.png`; decoded tiles are kept while memory allows."""
 
     def __init__(
         self,
@@ -214,11 +211,7 @@ class BackgroundSet:
     def sample_window(
         self, split: str, size_px: int, *, generator: torch.Generator
     ) -> BackgroundWindow:
-        """Draws a uniform tile of the split, rotation, and place with the window fully inside.
-
-        Raises:
-            ConfigurationError: no tile of the split is as large as the window.
-        """
+        """Draws a uniform tile of the split, rotation, and place with the window fully inside."""
         tiles = self.window_tiles(split, size_px)
         tile = tiles[int(torch.randint(len(tiles), (1,), generator=generator))]
         return self.sample_window_on(tile, size_px, generator=generator)

@@ -3,13 +3,14 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 
 from skyproof.errors import ConfigurationError
 from skyproof.scenes.background_index import BackgroundTile
 from skyproof.scenes.backgrounds import BackgroundSet, on_tile
-from skyproof.scenes.footprints import Sizes, footprint, rectangles_overlap
+from skyproof.scenes.footprints import Rectangle, Sizes, footprint, rectangles_overlap
 from skyproof.scenes.scene import BackgroundWindow, Placement
 from skyproof.scenes.settings import SceneSettings
 
@@ -41,15 +42,33 @@ class Place:
     length_m: float | None = None
 
 
-def place_vehicles(
-    settings: SceneSettings,
-    backgrounds: BackgroundSet,
-    split: str,
-    vehicle_sizes_m: Sizes,
-    half_m: float,
-    *,
-    generator: torch.Generator,
-) -> tuple[BackgroundWindow, tuple[Placement, ...]]:
+@dataclass(frozen=True)
+class SceneDraw:
+    """What the draws of one scene share; `half_m` bounds vehicle centres on both axes."""
+
+    settings: SceneSettings
+    backgrounds: BackgroundSet
+    split: str
+    sizes_m: Sizes
+    half_m: float
+    generator: torch.Generator
+
+    def number(self) -> int:
+        """Draws the number of vehicles."""
+        least = self.settings.vehicles_minimum
+        span = self.settings.vehicles_maximum - least + 1
+        return least + int(torch.randint(span, (1,), generator=self.generator))
+
+    def uniforms(self, *shape: int) -> list[Any]:
+        """Draws numbers from 0 to 1."""
+        return torch.rand(*shape, dtype=torch.float64, generator=self.generator).tolist()
+
+    def inside(self, placement: Placement) -> bool:
+        """Whether a vehicle's centre is inside the margin."""
+        return max(abs(placement.x_m), abs(placement.y_m)) <= self.half_m
+
+
+def place_vehicles(draw: SceneDraw) -> tuple[BackgroundWindow, tuple[Placement, ...]]:
     """Draws a window and vehicles at places on its ground; none overlap.
 
     The tile is uniform among those with places. The window is uniform on it among those with room
@@ -63,37 +82,35 @@ def place_vehicles(
         ConfigurationError: no tile has places, or no window with room for the fewest vehicles was
             found.
     """
-    span = settings.vehicles_maximum - settings.vehicles_minimum + 1
-    number = settings.vehicles_minimum + int(torch.randint(span, (1,), generator=generator))
+    settings, backgrounds, generator = draw.settings, draw.backgrounds, draw.generator
+    number = draw.number()
     if number == 0:
-        return backgrounds.sample_window(split, settings.size_px, generator=generator), ()
-    tiles = _tiles_with_places(settings, backgrounds, split)
+        return backgrounds.sample_window(draw.split, settings.size_px, generator=generator), ()
+    tiles = _tiles_with_places(draw)
+    least = max(settings.vehicles_minimum, 1)
     for _ in range(_TILES_TRIED):
         tile = tiles[int(torch.randint(len(tiles), (1,), generator=generator))]
         for _ in range(_WINDOWS_TRIED):
             window = backgrounds.sample_window_on(tile, settings.size_px, generator=generator)
             if settings.places == "removed":
-                places = removed_places(tile, window, backgrounds.gsd_m)
+                places = _removed_places(tile, window, backgrounds.gsd_m)
             else:
-                places = drivable_places(backgrounds, window, half_m, generator=generator)
+                places = _drivable_places(draw, window)
+            half_m = draw.half_m
             places = [p for p in places if max(abs(p.x_m), abs(p.y_m)) <= half_m]
-            placements = _fill(
-                places, number, settings, vehicle_sizes_m, half_m, generator=generator
-            )
-            if len(placements) >= max(settings.vehicles_minimum, 1):
+            placements = _fill(draw, places, number)
+            if len(placements) >= least:
                 return window, placements
     raise ConfigurationError(
-        f"No window of {settings.size_px} px on the {split} tiles of {backgrounds.folder} has "
-        f"{settings.places} places for {max(settings.vehicles_minimum, 1)} vehicles; give fewer "
-        "vehicles, a larger image, or --settings.places uniform."
+        f"No window of {settings.size_px} px on the {draw.split} tiles of {backgrounds.folder} has "
+        f"{settings.places} places for {least} vehicles; give fewer vehicles, a larger image, or "
+        "--settings.places uniform."
     )
 
 
-def _tiles_with_places(
-    settings: SceneSettings, backgrounds: BackgroundSet, split: str
-) -> list[BackgroundTile]:
-    tiles = backgrounds.window_tiles(split, settings.size_px)
-    if settings.places == "removed":
+def _tiles_with_places(draw: SceneDraw) -> list[BackgroundTile]:
+    tiles = draw.backgrounds.window_tiles(draw.split, draw.settings.size_px)
+    if draw.settings.places == "removed":
         tiles = [tile for tile in tiles if tile.removed]
         what, remedy = "removed vehicles", "clear imagery with skyproof clear"
     else:
@@ -101,13 +118,13 @@ def _tiles_with_places(
         what, remedy = "drivable ground", "draw or cut the ground again with skyproof ground"
     if not tiles:
         raise ConfigurationError(
-            f"{backgrounds.folder} knows no {what} on its {split} tiles; {remedy}, or give "
-            "--settings.places uniform."
+            f"{draw.backgrounds.folder} knows no {what} on its {draw.split} tiles; {remedy}, or "
+            "give --settings.places uniform."
         )
     return tiles
 
 
-def removed_places(tile: BackgroundTile, window: BackgroundWindow, gsd_m: float) -> list[Place]:
+def _removed_places(tile: BackgroundTile, window: BackgroundWindow, gsd_m: float) -> list[Place]:
     """Gives the places of a tile's removed vehicles in a window's axes; they may lie outside it."""
     cosine = math.cos(window.rotation_rad)
     sine = math.sin(window.rotation_rad)
@@ -127,16 +144,11 @@ def removed_places(tile: BackgroundTile, window: BackgroundWindow, gsd_m: float)
     return places
 
 
-def drivable_places(
-    backgrounds: BackgroundSet,
-    window: BackgroundWindow,
-    half_m: float,
-    *,
-    generator: torch.Generator,
-) -> list[Place]:
-    """Draws 1,024 points within `half_m`, and gives the first 64 on drivable ground."""
+def _drivable_places(draw: SceneDraw, window: BackgroundWindow) -> list[Place]:
+    """Draws 1,024 points, and gives the first 64 on drivable ground."""
+    backgrounds, half_m = draw.backgrounds, draw.half_m
     directions = backgrounds.directions(window.tile)
-    points = torch.rand(_POINTS, 2, dtype=torch.float64, generator=generator)
+    points = torch.rand(_POINTS, 2, dtype=torch.float64, generator=draw.generator)
     if directions is None:
         return []
     x_m, y_m = ((2 * points - 1) * half_m).unbind(1)
@@ -156,51 +168,37 @@ def drivable_places(
     ]
 
 
-def _fill(
-    places: Sequence[Place],
-    number: int,
-    settings: SceneSettings,
-    vehicle_sizes_m: Sizes,
-    half_m: float,
-    *,
-    generator: torch.Generator,
-) -> tuple[Placement, ...]:
+def _fill(draw: SceneDraw, places: Sequence[Place], number: int) -> tuple[Placement, ...]:
     """Puts at most `number` vehicles on places, in random order."""
-    order = torch.randperm(len(places), generator=generator).tolist()
     placements: list[Placement] = []
-    taken: list[tuple[float, float, float, float, float]] = []
-    for index in order:
+    taken: list[Rectangle] = []
+    for index in torch.randperm(len(places), generator=draw.generator).tolist():
         if len(placements) == number:
             break
-        for placement in _draws(places[index], vehicle_sizes_m, generator=generator):
-            rectangle = footprint(placement, vehicle_sizes_m, settings.gap_m)
-            inside = max(abs(placement.x_m), abs(placement.y_m)) <= half_m
-            if inside and not any(rectangles_overlap(rectangle, other) for other in taken):
+        for placement in _draws(draw, places[index]):
+            rectangle = footprint(placement, draw.sizes_m, draw.settings.gap_m)
+            free = not any(rectangles_overlap(rectangle, other) for other in taken)
+            if draw.inside(placement) and free:
                 placements.append(placement)
                 taken.append(rectangle)
                 break
     return tuple(placements)
 
 
-def _draws(
-    place: Place, vehicle_sizes_m: Sizes, *, generator: torch.Generator
-) -> Iterator[Placement]:
+def _draws(draw: SceneDraw, place: Place) -> Iterator[Placement]:
     """Draws vehicles for a place, each slightly off it and facing either way."""
-    names = sorted(vehicle_sizes_m)
+    generator = draw.generator
+    names = sorted(draw.sizes_m)
     length_m = place.length_m
     if length_m is not None:
-        names.sort(key=lambda name: abs(vehicle_sizes_m[name][0] - length_m))
+        names.sort(key=lambda name: abs(draw.sizes_m[name][0] - length_m))
         names = names[: math.ceil(len(names) * NEAR_LENGTH_SHARE)]
     for _ in range(_VEHICLES_TRIED):
         name = names[int(torch.randint(len(names), (1,), generator=generator))]
-        side, any_way = torch.rand(2, dtype=torch.float64, generator=generator).tolist()
+        side, any_way = draw.uniforms(2)
         east, north, turn = torch.randn(3, dtype=torch.float64, generator=generator).tolist()
         heading_rad = 2 * math.pi * any_way
         if place.heading_rad is not None:
             heading_rad = place.heading_rad + TURN_RAD * turn + (math.pi if side < 0.5 else 0.0)
-        yield Placement(
-            name,
-            place.x_m + SHIFT_M * east,
-            place.y_m + SHIFT_M * north,
-            heading_rad % (2 * math.pi),
-        )
+        x_m, y_m = place.x_m + SHIFT_M * east, place.y_m + SHIFT_M * north
+        yield Placement(name, x_m, y_m, heading_rad % (2 * math.pi))

@@ -1,5 +1,6 @@
 """Draws random scenes: number, places and headings of vehicles, camera, sun and weather."""
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -9,7 +10,7 @@ from skyproof.errors import ConfigurationError
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.footprints import Sizes, footprint, rectangles_overlap
 from skyproof.scenes.light import SunEstimate
-from skyproof.scenes.placing import place_vehicles
+from skyproof.scenes.placing import SceneDraw, place_vehicles
 from skyproof.scenes.scene import Camera, Placement, Scene, Sun
 from skyproof.scenes.settings import SceneSettings
 from skyproof.scenes.standing import standing
@@ -49,38 +50,26 @@ def sample_scenes(
     for number in range(count):
         seed = int(torch.randint(2**63 - 1, (1,), generator=generator))
         name = f"{prefix}-{number:06d}"
-        scenes.append(
-            _sample_scene(name, seed, settings, backgrounds, split, vehicle_sizes_m, half_m)
-        )
+        drawn_from = torch.Generator().manual_seed(seed)
+        draw = SceneDraw(settings, backgrounds, split, vehicle_sizes_m, half_m, drawn_from)
+        scenes.append(_sample_scene(name, seed, draw))
     return scenes
 
 
-def _sample_scene(
-    name: str,
-    seed: int,
-    settings: SceneSettings,
-    backgrounds: BackgroundSet,
-    split: str,
-    vehicle_sizes_m: Sizes,
-    half_m: float,
-) -> Scene:
-    """Draws all of one scene from its seed."""
-    generator = torch.Generator().manual_seed(seed)
+def _sample_scene(name: str, seed: int, draw: SceneDraw) -> Scene:
+    """Draws all of one scene."""
+    settings, backgrounds, generator = draw.settings, draw.backgrounds, draw.generator
     if settings.places == "uniform":
-        window = backgrounds.sample_window(split, settings.size_px, generator=generator)
+        window = backgrounds.sample_window(draw.split, settings.size_px, generator=generator)
     else:
-        window, placements = place_vehicles(
-            settings, backgrounds, split, vehicle_sizes_m, half_m, generator=generator
-        )
-    radius, camera_turn, sun_turn, sun_height = torch.rand(
-        4, dtype=torch.float64, generator=generator
-    ).tolist()
+        window, placements = place_vehicles(draw)
+    radius, camera_turn, sun_turn, sun_height = draw.uniforms(4)
     if settings.places == "uniform":
-        placements = _sample_placements(settings, vehicle_sizes_m, half_m, generator=generator)
+        placements = _sample_placements(draw)
     # The weather is drawn last, so that everything else is the same under all conditions.
     choice = int(torch.randint(len(settings.conditions), (1,), generator=generator))
     condition = settings.conditions[choice]
-    strength = float(torch.rand(1, dtype=torch.float64, generator=generator))
+    (strength,) = draw.uniforms(1)
     lowest, highest = settings.sun_elevation_minimum_rad, settings.sun_elevation_maximum_rad
     if condition == "low_sun":
         lowest, highest = LOW_SUN_ELEVATION_RAD
@@ -102,13 +91,8 @@ def _sample_scene(
         # A low sun comes from the photograph's side, with longer shadows than the photograph's.
         low = condition == "low_sun"
         sun = replace(photographed, elevation_rad=sun.elevation_rad) if low else photographed
-    placements = standing(
-        placements,
-        backgrounds,
-        window,
-        vehicle_sizes_m,
-        shadows=settings.sun == "photograph",
-    )
+    shadows = settings.sun == "photograph"
+    placements = standing(placements, backgrounds, window, draw.sizes_m, shadows=shadows)
     return Scene(
         id=name,
         background=window,
@@ -131,40 +115,26 @@ def _sun_of(known: SunEstimate, rotation_rad: float, *, generator: torch.Generat
     )
 
 
-def _sample_placements(
-    settings: SceneSettings, vehicle_sizes_m: Sizes, half_m: float, *, generator: torch.Generator
-) -> tuple[Placement, ...]:
+def _sample_placements(draw: SceneDraw) -> tuple[Placement, ...]:
     """Draws all vehicles anew until none overlap, so that free layouts are equally likely."""
-    span = settings.vehicles_maximum - settings.vehicles_minimum + 1
-    number = settings.vehicles_minimum + int(torch.randint(span, (1,), generator=generator))
+    settings, half_m, generator = draw.settings, draw.half_m, draw.generator
+    number = draw.number()
     if number == 0:
         return ()
-    names = sorted(vehicle_sizes_m)
+    names = sorted(draw.sizes_m)
     chosen = [names[i] for i in torch.randint(len(names), (number,), generator=generator).tolist()]
     # Without parked vehicles nothing is drawn, so that such scenes never change.
     if settings.parked_share and float(torch.rand(1, generator=generator)) < settings.parked_share:
-        parked = _park(chosen, settings, vehicle_sizes_m, half_m, generator=generator)
+        parked = _park(draw, chosen)
         if len(parked) >= settings.vehicles_minimum:
             return parked
     for _ in range(TRIES):
-        draws = torch.rand(number, 3, dtype=torch.float64, generator=generator).tolist()
         placements = tuple(
-            Placement(
-                name,
-                (2 * x - 1) * half_m,
-                (2 * y - 1) * half_m,
-                2 * math.pi * turn,
-            )
-            for name, (x, y, turn) in zip(chosen, draws, strict=True)
+            Placement(name, (2 * x - 1) * half_m, (2 * y - 1) * half_m, 2 * math.pi * turn)
+            for name, (x, y, turn) in zip(chosen, draw.uniforms(number, 3), strict=True)
         )
-        rectangles = [
-            footprint(placement, vehicle_sizes_m, settings.gap_m) for placement in placements
-        ]
-        if not any(
-            rectangles_overlap(rectangles[i], rectangles[j])
-            for i in range(number)
-            for j in range(i)
-        ):
+        rectangles = [footprint(each, draw.sizes_m, settings.gap_m) for each in placements]
+        if not any(itertools.starmap(rectangles_overlap, itertools.combinations(rectangles, 2))):
             return placements
     raise ConfigurationError(
         f"No room was found for {number} vehicles in an image of {settings.size_px} px; "
@@ -172,27 +142,19 @@ def _sample_placements(
     )
 
 
-def _park(
-    names: list[str],
-    settings: SceneSettings,
-    vehicle_sizes_m: Sizes,
-    half_m: float,
-    *,
-    generator: torch.Generator,
-) -> tuple[Placement, ...]:
+def _park(draw: SceneDraw, names: list[str]) -> tuple[Placement, ...]:
     """Parks vehicles in a row around a uniform place; those beyond the margin are left out."""
-    x, y, turn, kind = torch.rand(4, dtype=torch.float64, generator=generator).tolist()
+    x, y, turn, kind = draw.uniforms(4)
     side_by_side = kind < 0.5
     row_rad = 2 * math.pi * turn
     widest_gap_m = WIDEST_GAP_M[0 if side_by_side else 1]
     # The middle of each vehicle along the row, and its heading.
     slots = []
     reached_m = 0.0
-    draws = torch.rand(len(names), 3, dtype=torch.float64, generator=generator).tolist()
-    for name, (gap, skew, side) in zip(names, draws, strict=True):
-        length_m, width_m, _ = vehicle_sizes_m[name]
+    for name, (gap, skew, side) in zip(names, draw.uniforms(len(names), 3), strict=True):
+        length_m, width_m, _ = draw.sizes_m[name]
         taken_m = width_m if side_by_side else length_m
-        gap_m = settings.gap_m + gap * widest_gap_m
+        gap_m = draw.settings.gap_m + gap * widest_gap_m
         across_rad = math.pi / 2 if side_by_side else 0.0
         heading_rad = row_rad + across_rad + (2 * skew - 1) * LARGEST_SKEW_RAD
         slots.append((reached_m + taken_m / 2, heading_rad + (math.pi if side < 0.5 else 0.0)))
@@ -200,10 +162,10 @@ def _park(
     row = (
         Placement(
             name,
-            (2 * x - 1) * half_m + (middle_m - reached_m / 2) * math.cos(row_rad),
-            (2 * y - 1) * half_m + (middle_m - reached_m / 2) * math.sin(row_rad),
+            (2 * x - 1) * draw.half_m + (middle_m - reached_m / 2) * math.cos(row_rad),
+            (2 * y - 1) * draw.half_m + (middle_m - reached_m / 2) * math.sin(row_rad),
             heading_rad % (2 * math.pi),
         )
         for name, (middle_m, heading_rad) in zip(names, slots, strict=True)
     )
-    return tuple(spot for spot in row if max(abs(spot.x_m), abs(spot.y_m)) <= half_m)
+    return tuple(filter(draw.inside, row))

@@ -55,7 +55,6 @@ class Camera:
     Attributes:
         tilt_rad: angle off the vertical, 0 to 20 degrees (section S3.2.1).
         azimuth_rad: direction from the scene to the camera in the ground plane, from x to y.
-        gsd_m: metres per pixel.
         size_px: side of the image; world (0, 0) is its centre, x is east and right, y north and up.
     """
 

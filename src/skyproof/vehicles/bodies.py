@@ -60,11 +60,7 @@ _WITH_SIZE = ("length", "width", "wheelbase", "bonnet_length", "deck_length")
 
 
 def sample_dimensions(body_type: str, *, generator: torch.Generator) -> BodyDimensions:
-    """Draws the dimensions of one vehicle of a body type, a key of `BODY_RANGES`.
-
-    Raises:
-        ConfigurationError: an unknown body type.
-    """
+    """Draws the dimensions of one vehicle of a body type, a key of `BODY_RANGES`."""
     if body_type not in BODY_RANGES:
         raise ConfigurationError(
             f"Unknown body type {body_type!r}; choose from {', '.join(sorted(BODY_RANGES))}."

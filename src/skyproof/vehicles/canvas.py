@@ -16,7 +16,7 @@ Colour = Float[Tensor, " 3"] | tuple[float, float, float]
 
 
 @dataclass
-class Canvas:
+class TextureCanvas:
     """The left half of a map being painted; places are `[512, 256]` or `[512, 1]`, in metres."""
 
     body: Body
@@ -82,7 +82,7 @@ def _texel_weights() -> tuple[Tensor, Tensor, Tensor]:
     )
 
 
-def open_canvas(body: Body, paint: Tensor) -> Canvas:
+def open_canvas(body: Body, paint: Tensor) -> TextureCanvas:
     rows, columns, column = _texel_weights()
     x, y, z = (rows @ body.half[..., axis].float() @ columns for axis in range(3))
     station, belt, rail_z, rail_y = (
@@ -90,7 +90,7 @@ def open_canvas(body: Body, paint: Tensor) -> Canvas:
         for row in (body.station, body.belt_z, body.rail_z, body.rail_y)
     )
     half_length = body.dimensions.length / 2
-    return Canvas(
+    return TextureCanvas(
         body=body,
         behind=half_length - x,
         ahead=x + half_length,

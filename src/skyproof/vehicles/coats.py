@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from skyproof.geometry.colour import cielab_to_srgb, srgb_to_cielab
-from skyproof.vehicles.canvas import Canvas, between
+from skyproof.vehicles.canvas import TextureCanvas, between
 from skyproof.vehicles.paints import DARKEST, LIGHTEST
 from skyproof.vehicles.vehicle import Part
 
@@ -55,7 +55,9 @@ def _uniform_colours(count: int, *, generator: torch.Generator) -> Float[Tensor,
     return found[:count].clamp(DARKEST, LIGHTEST)
 
 
-def lay_coat(canvas: Canvas, coat: Coat, *, generator: torch.Generator) -> Float[Tensor, " 3"]:
+def lay_coat(
+    canvas: TextureCanvas, coat: Coat, *, generator: torch.Generator
+) -> Float[Tensor, " 3"]:
     """Paints a canvas plain, in two tones or in a livery; returns the sRGB of the bumpers."""
     if coat == "two_tone":
         return _two_tones(canvas, generator)
@@ -66,11 +68,11 @@ def lay_coat(canvas: Canvas, coat: Coat, *, generator: torch.Generator) -> Float
     return colour
 
 
-def _everywhere(canvas: Canvas) -> Tensor:
+def _everywhere(canvas: TextureCanvas) -> Tensor:
     return torch.ones_like(canvas.z, dtype=torch.bool)
 
 
-def _two_tones(canvas: Canvas, generator: torch.Generator) -> Tensor:
+def _two_tones(canvas: TextureCanvas, generator: torch.Generator) -> Tensor:
     """Paints the roof, all that is seen from above, or the lower half in a second colour."""
     first, second = _pair(generator)
     kind = int(torch.randint(4, (1,), generator=generator))
@@ -97,7 +99,7 @@ def _pair(generator: torch.Generator) -> Float[Tensor, "2 3"]:
     return cielab_to_srgb(cielab).clamp(DARKEST, LIGHTEST)
 
 
-def _livery(canvas: Canvas, generator: torch.Generator) -> None:
+def _livery(canvas: TextureCanvas, generator: torch.Generator) -> None:
     """One to four signs of a fleet: stripes along, bands across, chequers, panels."""
     dimensions = canvas.body.dimensions
     count = 1 + int(torch.randint(4, (1,), generator=generator))

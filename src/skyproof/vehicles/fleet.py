@@ -78,7 +78,7 @@ class FleetSettings:
 
 
 @dataclass(frozen=True)
-class _Description:
+class _StoredFleet:
     """What `fleet.json` holds."""
 
     format: int
@@ -141,11 +141,7 @@ class Fleet:
         }
 
     def save(self, folder: Path) -> None:
-        """Writes `fleet.json` and `fleet.safetensors` into a new folder, whole or not at all.
-
-        Raises:
-            RunFolderError: the folder exists already, or the disk cannot take it.
-        """
+        """Writes `fleet.json` and `fleet.safetensors` into a new folder, whole or not at all."""
         with finished_folder(Path(folder)) as partial:
             self.write_into(partial)
 
@@ -169,8 +165,8 @@ class Fleet:
             StoredFileError: the folder is missing, damaged or of another format version.
         """
         folder = Path(folder)
-        description: _Description = read_document(
-            folder / "fleet.json", _Description, _REMEDY, version=_FORMAT_VERSION
+        description: _StoredFleet = read_document(
+            folder / "fleet.json", _StoredFleet, _REMEDY, version=_FORMAT_VERSION
         )
         path = folder / "fleet.safetensors"
         tensors, _ = read_tensors(path, _REMEDY)

@@ -4,7 +4,7 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from skyproof.vehicles.canvas import Canvas, between, open_canvas
+from skyproof.vehicles.canvas import TextureCanvas, between, open_canvas
 from skyproof.vehicles.coats import Coat, lay_coat
 from skyproof.vehicles.paints import sample_paint
 from skyproof.vehicles.surface import Body
@@ -78,7 +78,7 @@ def _layout(body: Body) -> tuple[float, float, float, float]:
     return front, middle, min(middle + 0.85, rear + 0.10), rear
 
 
-def _paint_seams(c: Canvas, body_type: str) -> None:
+def _paint_seams(c: TextureCanvas, body_type: str) -> None:
     """Paints panel gaps: doors, bonnet, boot. Colour only."""
     d = c.body.dimensions
     front, middle, back, _ = _layout(c.body)
@@ -86,10 +86,8 @@ def _paint_seams(c: Canvas, body_type: str) -> None:
     on_door = c.side & (c.z > d.clearance + 0.14)
     for station in (door_front, middle, back):
         c.shade(on_door & between(c.behind - station, -0.009, 0.009), _SEAM)
-    c.shade(
-        on_door & between(c.behind, door_front, back) & between(c.z - d.clearance, 0.14, 0.16),
-        _SEAM,
-    )
+    where = on_door & between(c.behind, door_front, back) & between(c.z - d.clearance, 0.14, 0.16)
+    c.shade(where, _SEAM)
 
     bonnet = c.upper & (c.station < d.bonnet_length) & (c.station > 0.16)
     c.shade(bonnet & between(c.y - (c.rail_y - 0.055), -0.008, 0.008), _SEAM)
@@ -105,12 +103,11 @@ def _paint_seams(c: Canvas, body_type: str) -> None:
             c.upper & (c.column > 11.3) & (c.station > front + 0.1) & (c.station < d.length - 0.2)
         )
         c.shade(roof & (((c.y / 0.17) % 1.0) < 0.2), 0.92)
-        c.shade(
-            c.upper & (c.column < 9) & (c.station > back) & between(c.z - c.belt, 0.03, 0.05), 0.6
-        )
+        where = c.upper & (c.column < 9) & (c.station > back) & between(c.z - c.belt, 0.03, 0.05)
+        c.shade(where, 0.6)
 
 
-def _paint_lower_body(c: Canvas, body_type: str, chance: float) -> None:
+def _paint_lower_body(c: TextureCanvas, body_type: str, chance: float) -> None:
     """Paints sills, arches, wheels and underside."""
     d = c.body.dimensions
     rugged = body_type in ("suv", "pickup") and chance < 0.6
@@ -123,16 +120,13 @@ def _paint_lower_body(c: Canvas, body_type: str, chance: float) -> None:
         along, up = c.behind - axle, c.z - radius
         from_hub = torch.hypot(along, up)
         c.fill(c.side & (from_hub < radius + (0.10 if rugged else 0.05)), _BLACK, Part.TRIM)
-        c.fill(
-            outer & ((from_hub < radius) | ((c.z < radius) & (along.abs() < 0.9 * radius))),
-            _RUBBER,
-            Part.WHEEL,
-        )
+        where = outer & ((from_hub < radius) | ((c.z < radius) & (along.abs() < 0.9 * radius)))
+        c.fill(where, _RUBBER, Part.WHEEL)
         spokes = (torch.atan2(up, along) * (5 / (2 * torch.pi)) % 1.0) < 0.62
         c.fill(c.side & (from_hub < 0.66 * radius) & spokes, (0.50, 0.51, 0.52), Part.WHEEL)
 
 
-def _paint_ends(c: Canvas, body_type: str, paint: Tensor, chance: float) -> None:
+def _paint_ends(c: TextureCanvas, body_type: str, paint: Tensor, chance: float) -> None:
     """Paints bumpers, grille, lights and number plates."""
     d = c.body.dimensions
     half = d.width / 2
@@ -153,21 +147,15 @@ def _paint_ends(c: Canvas, body_type: str, paint: Tensor, chance: float) -> None
 
     # Grille and plate face forward; lights reach round the corners.
     face = nose & (c.behind < 0.14)
-    c.fill(
-        face & (c.y < 0.52 * half) & between(c.z, bumper_z - 0.04, d.nose_height - 0.10),
-        _BLACK,
-        Part.TRIM,
-    )
+    where = face & (c.y < 0.52 * half) & between(c.z, bumper_z - 0.04, d.nose_height - 0.10)
+    c.fill(where, _BLACK, Part.TRIM)
     c.fill(face & (c.y < 0.66 * half) & between(c.z, low, low + 0.11), _BLACK, Part.TRIM)
     c.fill(face & (c.y < 0.26) & between(c.z, bumper_z - 0.16, bumper_z - 0.05), _PLATE, Part.TRIM)
     lamp_top = d.nose_height - 0.015
     lamp = nose & (c.y > 0.58 * half) & between(c.z, lamp_top - 0.15, lamp_top) & (c.behind < 0.40)
     c.fill(lamp, (0.30, 0.31, 0.33), Part.LIGHT)
-    c.fill(
-        lamp & between(c.z, lamp_top - 0.12, lamp_top - 0.02) & (c.y > 0.62 * half),
-        _LAMP,
-        Part.LIGHT,
-    )
+    where = lamp & between(c.z, lamp_top - 0.12, lamp_top - 0.02) & (c.y > 0.62 * half)
+    c.fill(where, _LAMP, Part.LIGHT)
 
     tall = body_type in ("hatchback", "estate", "suv", "van")
     high = d.deck_height - (0.04 if body_type != "van" else 0.55)
@@ -182,23 +170,17 @@ def _paint_ends(c: Canvas, body_type: str, paint: Tensor, chance: float) -> None
     c.fill(rear_face & (c.y < 0.26) & between(c.z, plate_z, plate_z + 0.11), _PLATE, Part.TRIM)
 
 
-def _paint_glass(c: Canvas, body_type: str, glass: Tensor, *, panel_van: bool) -> None:
+def _paint_glass(c: TextureCanvas, body_type: str, glass: Tensor, *, panel_van: bool) -> None:
     """Paints windscreen, side windows with their pillars, and rear window."""
     d = c.body.dimensions
     front, middle, back, rear = _layout(c.body)
     foot = d.bonnet_length
     inside = c.upper & (c.y < c.rail_y)
     c.fill(inside & between(c.station, foot - 0.05, foot + 0.07), _BLACK, Part.TRIM)
-    c.fill(
-        inside & (c.y < c.rail_y - 0.03) & between(c.station, foot + 0.05, front - 0.01),
-        _BLACK,
-        Part.GLASS,
-    )
-    c.fill(
-        inside & (c.y < c.rail_y - 0.055) & between(c.station, foot + 0.09, front - 0.04),
-        glass,
-        Part.GLASS,
-    )
+    where = inside & (c.y < c.rail_y - 0.03) & between(c.station, foot + 0.05, front - 0.01)
+    c.fill(where, _BLACK, Part.GLASS)
+    where = inside & (c.y < c.rail_y - 0.055) & between(c.station, foot + 0.09, front - 0.04)
+    c.fill(where, glass, Part.GLASS)
 
     # Side windows: between shoulder and roof rail, the slope of windscreen and rear window bounding
     # them.
@@ -214,11 +196,8 @@ def _paint_glass(c: Canvas, body_type: str, glass: Tensor, *, panel_van: bool) -
         last = middle + 0.25
     window_top = torch.minimum(c.rail_z - 0.065, c.belt + 0.62)
     window = above_belt & (c.z < window_top) & between(c.station, foot + 0.22, last)
-    c.fill(
-        above_belt & (c.z < window_top + 0.018) & between(c.station, foot + 0.2, last + 0.02),
-        _BLACK,
-        Part.TRIM,
-    )
+    where = above_belt & (c.z < window_top + 0.018) & between(c.station, foot + 0.2, last + 0.02)
+    c.fill(where, _BLACK, Part.TRIM)
     c.fill(window, glass, Part.GLASS)
     c.fill(window & between(c.station - middle, -0.055, 0.055), _BLACK, Part.TRIM)
     if body_type != "saloon":
@@ -247,17 +226,14 @@ def _paint_glass(c: Canvas, body_type: str, glass: Tensor, *, panel_van: bool) -
     c.fill(pane & (c.y < c.rail_y - 0.08) & (c.station > rear + 0.07), glass * 0.92, Part.GLASS)
 
 
-def _paint_roof(c: Canvas, body_type: str, glass: Tensor, chance: list[float]) -> None:
+def _paint_roof(c: TextureCanvas, body_type: str, glass: Tensor, chance: list[float]) -> None:
     """Paints sunroof, rails, aerial and contrast roof."""
     front, _, _, rear = _layout(c.body)
     roof = c.upper & (c.y < c.rail_y) & between(c.station, front, rear)
     if body_type in ("hatchback", "suv") and chance[0] < 0.08:
         contrast = torch.tensor((0.07, 0.07, 0.075))
-        c.fill(
-            c.upper & (c.z > c.rail_z - 0.03) & between(c.station, front - 0.03, rear + 0.05),
-            contrast,
-            Part.BODY,
-        )
+        where = c.upper & (c.z > c.rail_z - 0.03) & between(c.station, front - 0.03, rear + 0.05)
+        c.fill(where, contrast, Part.BODY)
     if body_type in ("estate", "suv") and chance[1] < 0.65:
         rail = _BLACK if chance[2] < 0.55 else _CHROME
         stretch = between(c.station, front + 0.12, rear - 0.05)
@@ -271,14 +247,13 @@ def _paint_roof(c: Canvas, body_type: str, glass: Tensor, chance: list[float]) -
         )
         c.fill(pane, glass * 0.8, Part.GLASS)
     if body_type != "van":
-        c.fill(
-            roof & (c.y < 0.028) & between(c.station, rear - 0.22, rear - 0.06), _BLACK, Part.TRIM
-        )
+        where = roof & (c.y < 0.028) & between(c.station, rear - 0.22, rear - 0.06)
+        c.fill(where, _BLACK, Part.TRIM)
         # The ditch where roof and side panels meet.
         c.shade(roof & between(c.y - (c.rail_y - 0.025), -0.008, 0.008), 0.6)
 
 
-def _paint_bed(c: Canvas, colour: Tensor) -> None:
+def _paint_bed(c: TextureCanvas, colour: Tensor) -> None:
     """Paints a pickup's load bed: a ribbed liner, or painted."""
     d = c.body.dimensions
     deck = d.length - d.deck_length

@@ -24,13 +24,8 @@ _OUTSIDE_M = 0.03
 
 @dataclass(frozen=True)
 class Texels:
-    """The 512 x 512 texels of a wrapped vehicle, row by row.
-
-    Attributes:
-        points, normals: `[512, 512, 3]` on the wrapped template.
-        face: `[512, 512]` visible triangle of the mesh.
-        alpha: `[512, 512]` opacity, or value of the paint mask.
-        colour: `[512, 512, 3]` sRGB in [0, 1].
+    """The 512 x 512 texels of a wrapped vehicle, with visible face, sRGB, and opacity or paint
+    mask.
     """
 
     points: Float[np.ndarray, "512 512 3"]

@@ -28,10 +28,8 @@ class Material:
     """The look of some triangles.
 
     Attributes:
-        name: names of the material and of its object.
         colour: sRGB in [0, 1] without texture and vertex colours.
         picture: `[H, W, 3 or 4]` bytes, row 0 on top.
-        opacity: 1 for solid.
         plain: whether `colour` is a stand-in, because the file gives none.
         tint: sRGB factor of the picture's light.
     """
@@ -78,7 +76,6 @@ class SourceMesh:
         corners: `[F, 3, 3]`, in the file's axes and unit until it is oriented.
         uvs: `[F, 3, 2]`, v from the bottom of the picture, which repeats outside [0, 1].
         colours: `[F, 3, 3]` sRGB at the corners; NaN if a texture or a material gives the colour.
-        material: `[F]` index into `materials`.
         up: upward axis of the format, or None.
         unit_m: metres per unit of the file, or None.
         notes: repairs and assumptions while reading, one sentence each.
@@ -102,7 +99,6 @@ class SourceMesh:
         """Returns sRGB in [0, 1] of points on triangles, and their pictures' opacity in [0, 1].
 
         Args:
-            weights: barycentric.
             mask: read instead of the pictures' alpha, by the same UVs.
         """
         uv = np.einsum("nk,nkc->nc", weights, self.uvs[face])
@@ -198,11 +194,7 @@ def is_picture(name: str) -> bool:
 
 
 def picture_bytes(image: Image.Image, place: str) -> UInt8[np.ndarray, "H W C"]:
-    """Decodes an open picture as bytes, `[H, W, 3]` or with alpha `[H, W, 4]`; errors name `place`.
-
-    Raises:
-        ConfigurationError: it cannot be read, or is too large.
-    """
+    """Decodes an open picture, `[H, W, 3]` or with alpha `[H, W, 4]`; errors name `place`."""
     has_alpha = "A" in image.getbands() or "transparency" in image.info
     mode = "RGBA" if has_alpha else "RGB"
     return decoded(image, mode, place, _REMEDY, error=ConfigurationError, also=("TGA", "GIF"))

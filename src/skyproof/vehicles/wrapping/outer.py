@@ -25,9 +25,7 @@ class Outer:
     """Points that are seen from outside.
 
     Attributes:
-        points: `[N, 3]` metres.
         normals: `[N, 3]` unit, of their triangle, towards the view.
-        face, weights: `[N]` triangle and `[N, 3]` barycentric place on it.
         below: `[N]` whether only the view from straight below sees it.
         inverted, seen: number of triangles seen from their inside, and of all seen.
     """

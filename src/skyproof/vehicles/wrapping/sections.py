@@ -205,7 +205,6 @@ class Sections:
         axis_z: `[S]` height of the directions' origin.
         radius: `[S, 360]` distance to the hull; direction i points at `-90 + i` degrees: down (0),
             left (90), up (180), right (270).
-        low, floor: `[S]` as in `Hull`.
     """
 
     station: Float[np.ndarray, " S"]

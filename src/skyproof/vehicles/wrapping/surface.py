@@ -40,7 +40,6 @@ class Wrapping:
     """The template on a mesh.
 
     Attributes:
-        vertices: `[994, 3]` float32, vehicle axes, in template order.
         station: `[27]` x of the rings in planes, from nose to tail.
         belt_m: height of the shoulder (column 7) along the windows.
     """
@@ -58,9 +57,6 @@ def wrap_surface(corners: Float[np.ndarray, "F 3 3"]) -> Wrapping:
     those of drawn bodies: 0 and 1 on the floor, 2 at the lower edge, 7 at the shoulder, 11 along
     the roof rail, 16 in the middle. Between 2 and 7 they lie at even heights, elsewhere at even
     distances.
-
-    Raises:
-        ConfigurationError: there is no closed body.
     """
     hull = find_hull(corners)
     every = cut_sections(hull)

@@ -1,6 +1,6 @@
 """Parallel views of a mesh, whichever way its triangles are wound, for looking and measuring."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -9,14 +9,8 @@ from jaxtyping import Float, Int
 from skyproof.geometry.rasterise import barycentric, rasterise
 
 
-@dataclass(frozen=True)
-class View:
-    """The visible triangle of each pixel.
-
-    Attributes:
-        face: `[H, W]` triangle, -1 without any.
-        weights: `[H, W, 3]` barycentric weights of the pixel's centre.
-    """
+class SeenFaces(NamedTuple):
+    """The visible triangle of each pixel (-1 without any) and its centre's barycentric weights."""
 
     face: Int[np.ndarray, "H W"]
     weights: Float[np.ndarray, "H W 3"]
@@ -36,14 +30,8 @@ def parallel_view(
     origin: Float[np.ndarray, " 2"],
     pixel: float,
     size: tuple[int, int],
-) -> View:
-    """Finds the nearest triangle at every pixel's centre, from either side.
-
-    Args:
-        corners: metres in the view's axes: right, down, away.
-        origin: right and down of the top-left corner.
-        size: height and width in pixels, of `pixel` metres.
-    """
+) -> SeenFaces:
+    """Finds the nearest triangle at every pixel's centre of a view; `size` is height and width."""
     height, width = size
     screen = torch.from_numpy((corners[..., :2] - origin) / pixel)
     depth = torch.from_numpy(np.ascontiguousarray(corners[..., 2]))
@@ -59,4 +47,4 @@ def parallel_view(
     weights = torch.zeros(height, width, 3, dtype=torch.float64)
     face[y, x] = triangle
     weights[y, x] = barycentric(screen[triangle].permute(1, 2, 0), centre).t()
-    return View(face.numpy(), weights.numpy())
+    return SeenFaces(face.numpy(), weights.numpy())
