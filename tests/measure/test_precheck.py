@@ -14,8 +14,7 @@ from skyproof.detectors import inference
 from skyproof.detectors.card import DetectorCard, write_card
 from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
 from skyproof.measure.baseline import BaselineSet
-from skyproof.measure.precheck import precheck
-from skyproof.measure.trials import make_trials
+from skyproof.measure.precheck import precheck, precheck_changes
 from skyproof.measure.views import Change, Stage, views
 from skyproof.render.dataset import render_dataset
 from skyproof.render.renderer import TorchRenderer
@@ -37,7 +36,7 @@ YELLOWS = {"#808000", "#ffff00", "#ffff80"}
 
 
 def test_every_trial_is_made_once_and_every_draw_differs():
-    trials = make_trials(torch.rand(5, 3), draws=2, seed=0)
+    trials = precheck_changes(torch.rand(5, 3), draws=2, seed=0)
     counted = {
         kind: len({trial.name for trial in trials if trial.kind == kind})
         for kind in ("paint_body", "paint_whole", "two_tone", "blur", "control", "sun")
@@ -45,12 +44,10 @@ def test_every_trial_is_made_once_and_every_draw_differs():
     paints = {"paint_body": 27, "paint_whole": 27, "two_tone": 8}
     assert counted == {**paints, "blur": 4, "control": 6, "sun": 4}
     assert len(trials) == 27 + 27 + 8 + 4 + 12 + 4
-    first, second = (trial.change.camouflage for trial in trials if trial.name == "R-U")
+    first, second = (trial.camouflage for trial in trials if trial.name == "R-U")
     assert not torch.equal(first.cells, second.cells)
-    again = make_trials(torch.rand(5, 3), draws=1, seed=0)
-    assert torch.equal(
-        next(t for t in again if t.name == "R-U").change.camouflage.cells, first.cells
-    )
+    again = precheck_changes(torch.rand(5, 3), draws=1, seed=0)
+    assert torch.equal(next(t for t in again if t.name == "R-U").camouflage.cells, first.cells)
 
 
 def test_a_paint_lies_on_body_panels_or_everywhere_and_can_be_stored(fleet, tmp_path):

@@ -1,11 +1,12 @@
-"""Detectors on images without camouflage, photographs above all."""
+"""Baselines: detectors on images without camouflage, photographs above all."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
+from jaxtyping import Int64
 
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.average_precision import (
@@ -31,14 +32,14 @@ from skyproof.seeds import numpy_generator
 
 @dataclass(frozen=True)
 class BaselineSet:
-    """Images without camouflage that say how good the detectors are.
+    """Images without camouflage.
 
     Attributes:
-        name: the set's name in the report.
-        images: at the detectors' resolution.
-        real: whether a camera took them; False for rendered ones.
-        note: where they come from and what was done to them.
-        places: per image the place it shows, as the bootstrap's clusters; empty where not known.
+        name: name in the report.
+        images: images at the detectors' resolution.
+        real: whether a camera took them.
+        note: source and processing.
+        places: place of each image, as the bootstrap's clusters; empty if not known.
     """
 
     name: str
@@ -49,24 +50,31 @@ class BaselineSet:
     places: Sequence[str] = ()
 
 
-def measure_baseline(detector: Detector, images: BaselineSet, view: View, *, seed: int) -> Baseline:
-    """Says how good a detector is on images without camouflage.
+def measure_baselines(
+    detectors: Sequence[Detector], images: BaselineSet, view: View | None = None, *, seed: int
+) -> list[Baseline]:
+    """Measures every detector on images without camouflage.
 
-    Intervals are over places; over images where all show one place, or none is known.
+    Intervals are over places, or over images if all show one place or none is known.
 
     Args:
-        detector: its threshold says which detections count.
-        images: what they are, and where.
-        view: what it finds in them.
-        seed: of the bootstrap. Each set draws alike, so that one more changes no other's interval.
+        detectors: detectors with cards.
+        images: images of the detectors' resolution.
+        view: the detections in them; None runs the detectors.
+        seed: seed of the bootstrap, the same for each set, so that no set changes another's.
     """
+    view = view or look(detectors, images.name, images.images)
+    return [_measure(each, images, view, seed) for each in detectors]
+
+
+def _measure(detector: Detector, images: BaselineSet, view: View, seed: int) -> Baseline:
     generator = numpy_generator(seed)
     centre = view.matched(detector.name, MAIN_MATCH)
     by_place = len(set(images.places)) > 1
     clusters = list(images.places) if by_place else list(map(str, range(centre.images)))
     ap = ap_interval(centre, clusters, generator=generator)
-    precision, recall = threshold_intervals(
-        centre, clusters, detector.threshold, generator=generator
+    precision, recall = _threshold_intervals(
+        centre, _numbers(clusters), detector.threshold, generator
     )
     return Baseline(
         detector=detector.name,
@@ -89,81 +97,43 @@ def measure_baseline(detector: Detector, images: BaselineSet, view: View, *, see
     )
 
 
-def measure_baselines(
-    detectors: Sequence[Detector],
-    sets: Sequence[BaselineSet],
-    *,
-    seed: int,
-    progress: Callable[[int], None] | None = None,
-) -> list[Baseline]:
-    """Says how good every detector is on every set, set by set.
-
-    Args:
-        detectors: with their cards.
-        sets: of the detectors' resolution.
-        seed: of the bootstrap.
-        progress: called with the number of images of each set that was looked at.
-    """
-    baselines = []
-    for images in sets:
-        view = look(detectors, images.name, images.images)
-        baselines += [measure_baseline(each, images, view, seed=seed) for each in detectors]
-        if progress:
-            progress(len(images.images))
-    return baselines
-
-
 def _best(matches: MatchTable) -> BestF1 | None:
-    """What the threshold of the largest F1 reaches; None where there is no vehicle."""
+    """Precision and recall at the threshold of the largest F1; None without a vehicle."""
     if not matches.vehicles:
         return None
     threshold, _ = best_f1_threshold(precision_recall(matches))
     hits, false_alarms = matches.counts_at(threshold)
-    return BestF1(threshold, _share(hits, hits + false_alarms), hits / matches.vehicles)
+    counted = hits + false_alarms
+    precision = hits / counted if counted else float("nan")
+    return BestF1(threshold, precision, hits / matches.vehicles)
 
 
-def threshold_intervals(
+def _threshold_intervals(
     matches: MatchTable,
-    clusters: Sequence[str],
+    cluster_of_image: Int64[np.ndarray, " images"],
     threshold: float,
-    *,
     generator: np.random.Generator,
 ) -> tuple[Interval, Interval]:
-    """Gives precision and recall at a threshold with their 95 % intervals.
+    """Precision and recall at a threshold with their 95 % intervals, as fractions.
 
-    Args:
-        matches: the images, matched.
-        clusters: per image the place it shows; places are resampled.
-        threshold: from which on a detection counts.
-        generator: draws the replicates.
-
-    Returns:
-        Precision and recall as fractions; the limits are nan with fewer than two clusters, all
-        three where there is nothing to divide by.
+    The limits are nan with fewer than two clusters, all three without anything to divide by.
     """
-    names = list(dict.fromkeys(clusters))
-    cluster_of_image = np.array([names.index(name) for name in clusters], dtype=np.int64)
     counting = matches.counting_at(threshold)
-
-    def per_cluster(images: np.ndarray) -> np.ndarray:
-        return np.bincount(cluster_of_image[images], minlength=len(names))
-
-    counts = np.stack(
-        [
-            per_cluster(matches.image_of_detection[counting & matches.hits]),
-            per_cluster(matches.image_of_detection[counting]),
-            per_cluster(matches.image_of_vehicle),
-        ],
-        axis=-1,
-    )[None]
-    weights = resample(len(names), generator=generator)
+    count = int(cluster_of_image.max(initial=-1)) + 1
+    images = (
+        matches.image_of_detection[counting & matches.hits],
+        matches.image_of_detection[counting],
+        matches.image_of_vehicle,
+    )
+    per_cluster = [np.bincount(cluster_of_image[each], minlength=count) for each in images]
+    counts = np.stack(per_cluster, axis=-1)[None]
+    weights = resample(count, generator=generator)
 
     def share(of: int) -> Interval:
         def rate(sums: np.ndarray) -> np.ndarray:
             below = sums[..., 0, of].astype(np.float64)
-            return np.divide(
-                sums[..., 0, 0], below, out=np.full_like(below, np.nan), where=below > 0
-            )
+            undefined = np.full_like(below, np.nan)
+            return np.divide(sums[..., 0, 0], below, out=undefined, where=below > 0)
 
         return cluster_interval(counts, rate, weights, limits=(0.0, 1.0))
 
@@ -177,21 +147,21 @@ def ap_interval(
     generator: np.random.Generator,
     replicates: int = 1000,
 ) -> Interval:
-    """Gives average precision with its 95 % interval.
+    """Average precision with its 95 % interval, as fractions.
 
-    Images of one place share ground, light and often the very vehicles: places are resampled, not
-    images. Limits are those of all our rates (`bootstrap_interval`: BCa widened for few clusters,
-    and no surer than the effective number of vehicles allows), so that with two or three places
-    they are honest and wide.
+    Images of one place share ground, light and often the very vehicles, so places are resampled,
+    not images. Limits are those of all our rates (`bootstrap_interval`: BCa widened for few
+    clusters, and no narrower than the effective number of vehicles allows), so that with two or
+    three places they are honest and wide.
 
     Args:
-        matches: the images, matched.
-        clusters: per image the place it shows.
-        generator: draws the replicates.
-        replicates: how many.
+        matches: the matched images.
+        clusters: place of each image.
+        generator: generator of the replicates.
+        replicates: number of replicates.
 
     Returns:
-        Fractions. The limits are nan with fewer than two clusters, all three without a vehicle.
+        The limits are nan with fewer than two clusters, all three without a vehicle.
 
     Raises:
         ConfigurationError: there are not as many clusters as images.
@@ -200,18 +170,17 @@ def ap_interval(
         raise ConfigurationError(
             f"Got {len(clusters)} places for {matches.images} images; give one each."
         )
-    names = list(dict.fromkeys(clusters))
-    cluster_of_image = np.array([names.index(name) for name in clusters], dtype=np.int64)
-    every = np.ones(len(names), dtype=np.int64)
+    cluster_of_image = _numbers(clusters)
+    count = len(set(clusters))
     estimate = average_precision(matches)
-    if len(names) < 2:
+    if count < 2:
         return Interval(estimate, float("nan"), float("nan"))
 
     def replicate(weights: np.ndarray) -> float:
         return average_precision(matches, weights[cluster_of_image])
 
-    weights = resample(len(names), generator=generator, replicates=replicates)
-    left_out = every - np.eye(len(names), dtype=np.int64)
+    weights = resample(count, generator=generator, replicates=replicates)
+    left_out = 1 - np.eye(count, dtype=np.int64)
     return bootstrap_interval(
         estimate,
         np.array([replicate(row) for row in weights]),
@@ -221,5 +190,7 @@ def ap_interval(
     )
 
 
-def _share(part: int, whole: int) -> float:
-    return part / whole if whole else float("nan")
+def _numbers(clusters: Sequence[str]) -> Int64[np.ndarray, " images"]:
+    """The number of each image's cluster, in order of appearance."""
+    numbers = {name: number for number, name in enumerate(dict.fromkeys(clusters))}
+    return np.array([numbers[name] for name in clusters], dtype=np.int64)

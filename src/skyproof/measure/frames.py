@@ -1,4 +1,4 @@
-"""Real annotated frames named on the command line."""
+"""Annotated frames of cameras, named on the command line."""
 
 from __future__ import annotations
 
@@ -15,9 +15,7 @@ from skyproof.scenes.backgrounds import BackgroundSet
 
 
 @dataclass(frozen=True)
-class _Given:
-    """One argument of --frames, taken apart."""
-
+class _FramesArgument:
     name: str
     folder: Path
     pattern: str
@@ -25,12 +23,18 @@ class _Given:
     gsd_m: float
     classes: tuple[str, ...]
 
+    @property
+    def border_px(self) -> float:
+        """The unlabelled border: none in our own datasets, where every vehicle is labelled."""
+        ours = self.labels is None and (self.folder / "annotations.json").is_file()
+        return 0.0 if ours else BORDER_PX
+
 
 def read_frames(texts: Sequence[str], classes: Sequence[str], gsd_m: float) -> list[BaselineSet]:
     """Reads frames given as `[NAME=]FOLDER[/PATTERN][:LABELS]@GSD[#CLASS,...]`.
 
     An example is `kit/MOS*@0.116#car,minibus`. Without classes of its own a set has `classes`.
-    LABELS (COCO file, folder of YOLO or DOTA text) is needed where they do not lie with the images.
+    LABELS (COCO file, folder of YOLO or DOTA text) is needed if they do not lie with the images.
     Arguments of the same NAME are one set. Each argument counts as one place; in a set that
     `skyproof ground` cut, each source.
 
@@ -38,14 +42,14 @@ def read_frames(texts: Sequence[str], classes: Sequence[str], gsd_m: float) -> l
         ConfigurationError: a text of another form.
         ImageryError: an image or label file that cannot be used.
     """
-    by_name: dict[str, list[_Given]] = {}
+    by_name: dict[str, list[_FramesArgument]] = {}
     for text in texts:
-        given = _parse(text)
+        given = _parse(text, tuple(classes))
         by_name.setdefault(given.name, []).append(given)
-    return [_read(name, own, classes, gsd_m) for name, own in by_name.items()]
+    return [_read(name, given, gsd_m) for name, given in by_name.items()]
 
 
-def _read(name: str, given: Sequence[_Given], classes: Sequence[str], gsd_m: float) -> BaselineSet:
+def _read(name: str, given: Sequence[_FramesArgument], gsd_m: float) -> BaselineSet:
     parts, places = [], []
     for number, one in enumerate(given, 1):
         read = read_frames_folder(
@@ -53,35 +57,27 @@ def _read(name: str, given: Sequence[_Given], classes: Sequence[str], gsd_m: flo
             labels=one.labels,
             gsd_m=one.gsd_m,
             target_gsd_m=gsd_m,
-            classes=one.classes or tuple(classes),
-            border_px=_border_px(one),
+            classes=one.classes,
+            border_px=one.border_px,
             pattern=one.pattern,
         )
         parts.append(read)
         places += _sources(one.folder, read.ids) or [str(number)] * len(read)
-    images = Dataset.joined(parts)
     own_gsd = " and ".join(dict.fromkeys(f"{one.gsd_m * 100:.1f}" for one in given))
-    rendered = [one for one in given if (one.folder / "scenes.jsonl").exists()]
-    bordered = any(map(_border_px, given))
-    counted = dict.fromkeys(name for one in given for name in one.classes or classes)
+    rendered = any((one.folder / "scenes.jsonl").exists() for one in given)
+    border = f"; {BORDER_PX:.0f} px border ignored" if any(one.border_px for one in given) else ""
+    counted = ", ".join(dict.fromkeys(each for one in given for each in one.classes))
     note = (
         f"{'rendered' if rendered else 'real'} frames, {own_gsd} cm/px resampled to "
-        f"{gsd_m * 100:.1f} cm/px; vehicles: "
-        f"{', '.join(counted)}{f'; {BORDER_PX:.0f} px border ignored' if bordered else ''}"
+        f"{gsd_m * 100:.1f} cm/px; vehicles: {counted}{border}"
     )
+    images = Dataset.joined(parts)
     return BaselineSet(name, images, real=not rendered, note=note, places=tuple(places))
 
 
-def _border_px(given: _Given) -> float:
-    """Gives the unlabelled border: none in our own datasets, where every vehicle is labelled."""
-    return (
-        0.0 if given.labels is None and (given.folder / "annotations.json").is_file() else BORDER_PX
-    )
-
-
-def _parse(text: str) -> _Given:
+def _parse(text: str, classes: tuple[str, ...]) -> _FramesArgument:
     place, _, resolution = text.rpartition("@")
-    resolution, _, classes = resolution.partition("#")
+    resolution, _, own = resolution.partition("#")
     name, place = re.fullmatch(r"(?:([^/=]+)=)?(.*)", place, re.S).groups("")  # type: ignore[union-attr]
     try:
         own_gsd_m = float(resolution)
@@ -103,12 +99,12 @@ def _parse(text: str) -> _Given:
         if not folder.is_dir() or not set(pattern) & set("*?["):
             raise ConfigurationError(f"{place} is not a folder; check --frames {text}.")
     shown = folder.resolve().name if pattern == "*" else f"{folder.resolve().name}/{pattern}"
-    own = tuple(filter(None, classes.split(",")))
-    return _Given(name or shown, folder, pattern, labels, own_gsd_m, own)
+    named = tuple(filter(None, own.split(","))) or classes
+    return _FramesArgument(name or shown, folder, pattern, labels, own_gsd_m, named)
 
 
 def _sources(folder: Path, ids: Sequence[str]) -> list[str]:
-    """Gives per image its source, where the folder is one split of a tiled set; else nothing."""
+    """The source of each image of a split of a tiled set; empty for another folder."""
     if not (folder.parent / "index.json").is_file():
         return []
     tiles = BackgroundSet.open(folder.parent)

@@ -18,7 +18,7 @@ from skyproof.results.pairs.outcomes import MATCHES, Match, Outcome
 from skyproof.scenes.scene import Placement, Scene
 from skyproof.vehicles.fleet import Fleet
 
-_UNSEEN = (False, 0.0, math.nan)
+_OUT_OF_SIGHT = (False, 0.0, math.nan)
 
 
 def measure(
@@ -35,14 +35,14 @@ def measure(
     """Tests every vehicle twice, without and with each camouflage, before every detector.
 
     Args:
-        detectors: with their cards, whose thresholds say what is found.
-        scenes: of one image size, and of the detectors' resolution.
-        camouflages: by the names that tables show.
-        fleet: the scenes' vehicles.
-        renderer: draws the scenes.
+        detectors: detectors with cards.
+        scenes: scenes of one image size, and of the detectors' resolution.
+        camouflages: camouflages by their names in tables.
+        fleet: vehicles of the scenes.
+        renderer: renderer of the scenes.
         folder: score folder to write, such as `my_run/scores/mine`, for `Results.open` and
-            `write_report`; nothing is written where it is not given.
-        device: where the scenes are drawn.
+            `write_report`; None writes nothing.
+        device: device of the renderer.
         progress: called with (images done, images in all).
 
     Returns:
@@ -78,14 +78,9 @@ def compare(
     renderer: str,
     matches: Sequence[Match] = MATCHES,
 ) -> list[Outcome]:
-    """Gives the outcomes of one detector under one change, by each rule for every vehicle in sight.
+    """The outcomes of one detector under one change, by each rule for every vehicle in sight.
 
-    Args:
-        scenes: as they are without the change.
-        before, after: what the detector finds without and with it.
-        detector: its threshold says which detections count.
-        renderer: who drew the images, as tables show it.
-        matches: the rules.
+    `scenes` are those of the view `before`, and `renderer` is its renderer's name in tables.
 
     Raises:
         ValueError: the views do not show the scenes.
@@ -106,8 +101,7 @@ def compare(
                 raise ValueError(
                     f"scene {scene.id} has {len(scene.placements)} placements, but more vehicles"
                 )
-            # A vehicle that the change puts out of sight is not found.
-            then = found_after.get((image, index), _UNSEEN)
+            then = found_after.get((image, index), _OUT_OF_SIGHT)
             outcomes.append(
                 Outcome(
                     scene=scene.id,
@@ -132,7 +126,7 @@ def compare(
 def _vehicles(
     matches: MatchTable, threshold: float
 ) -> dict[tuple[int, int], tuple[bool, float, float]]:
-    """By image and place in it, whether a vehicle is found, by which score and how far off."""
+    """By image and index in it: whether a vehicle is found, its score and distance."""
     places = zip(matches.image_of_vehicle.tolist(), matches.index_of_vehicle.tolist(), strict=True)
     columns = zip(
         matches.found_at(threshold).tolist(),
@@ -144,7 +138,7 @@ def _vehicles(
 
 
 def _situation(scene: Scene, placement: Placement) -> dict[str, Any]:
-    """What the outcomes say of a vehicle's surroundings."""
+    """The surroundings of a vehicle, as outcomes hold them."""
     sun_azimuth_deg = math.degrees(scene.sun.azimuth_rad) % 360
     heading_deg = math.degrees(placement.heading_rad) % 360
     turned_deg = (heading_deg - sun_azimuth_deg) % 360

@@ -1,4 +1,4 @@
-"""The precheck: is a detector worth attacking? Changes that no attack optimised answer that."""
+"""The precheck: is a detector worth attacking? Changes without optimisation answer that."""
 
 from __future__ import annotations
 
@@ -9,14 +9,20 @@ from typing import Any
 import msgspec
 import numpy as np
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
+from skyproof.camouflage.camouflage import Camouflage
+from skyproof.camouflage.make import make_camouflage
+from skyproof.camouflage.name import CamouflageName
+from skyproof.camouflage.paint import LATTICE, TWO_TONES, Colour, plain_paint, two_tone_paint
 from skyproof.camouflage.palette import ground_palette
 from skyproof.detectors.detector import Detector
 from skyproof.errors import ConfigurationError
-from skyproof.measure.baseline import BaselineSet, measure_baseline, measure_baselines
+from skyproof.measure.baseline import BaselineSet, measure_baselines
 from skyproof.measure.measure import compare
-from skyproof.measure.trials import Trial, make_trials
-from skyproof.measure.views import Stage, View, counter, views
+from skyproof.measure.views import Change, Stage, View, counter, views
+from skyproof.randomness import generator_of
 from skyproof.render.renderer import TorchRenderer
 from skyproof.results.pairs.counts import count_cells
 from skyproof.results.precheck import Kind, MeasuredOn, PrecheckRecord, Rate
@@ -27,6 +33,13 @@ from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.scene import Scene, scenes_digest
 from skyproof.seeds import numpy_generator
 from skyproof.vehicles.fleet import Fleet
+
+BLURS_PX = (0.4, 0.7, 1.0, 1.4)
+"""From the sharpest to the softest aerial photographs that we know, in pixels (sigma)."""
+
+CONTROLS = ("R-U", "R-Pix", "R-Fc", "R-PixFc", "R-Lc", "R-S-O@0.4")
+
+SUN_ELEVATIONS_DEG = (10.0, 25.0, 45.0, 65.0)
 
 
 def precheck(
@@ -41,28 +54,28 @@ def precheck(
     device: torch.device | str = "cpu",
     progress: Callable[[int, int], None] | None = None,
 ) -> list[PrecheckRecord]:
-    """Measures what plain changes hide from every detector, and how good it is without them.
+    """Measures what plain changes hide from every detector, and its baselines.
 
-    The scenes are drawn as they are, then once more for each trial: 27 plain paints on body panels
+    The scenes are rendered as they are, then once under each change: 27 plain paints on body panels
     and 27 on the whole vehicle, eight two-tone paints, four sharpnesses, six random controls, four
     suns. Rates are by centres within 1 m at the frozen threshold. Nothing is written.
 
     Args:
-        detectors: with their cards.
-        backgrounds: the ground of the scenes; the fixed colours of Fc come from its attack split.
-        fleet: the scenes' vehicles.
-        scenes: of one image size and of the detectors' resolution.
-        draws: of every random control.
-        frames: annotated photographs, whose baseline is measured, too.
-        seed: of random controls and of the bootstrap.
-        device: where pictures are drawn.
+        detectors: detectors with cards.
+        backgrounds: ground of the scenes; the fixed colours of Fc come from its attack split.
+        fleet: vehicles of the scenes.
+        scenes: scenes of one image size and of the detectors' resolution.
+        draws: number of draws of every random control.
+        frames: annotated photographs for further baselines.
+        seed: seed of random controls and of the bootstrap.
+        device: device of the renderer.
         progress: called with (images done, images in all).
 
     Returns:
-        Per detector what was measured; `skyproof.results.findings` judges it.
+        One record per detector; `skyproof.results.findings` judges it.
 
     Raises:
-        ConfigurationError: as `views` does, or frames without labels.
+        ConfigurationError: as `views`, or frames without labels.
         StoredFileError: a tile or a frame is missing or damaged.
     """
     for each in frames:
@@ -71,22 +84,22 @@ def precheck(
                 f"{each.name} has no labelled vehicles, so nothing says what a detector misses "
                 "there; give frames with labels, or leave them out."
             )
-    trials = make_trials(ground_palette(backgrounds), draws=draws, seed=seed)
+    changes = precheck_changes(ground_palette(backgrounds), draws=draws, seed=seed)
     stage = Stage(fleet, TorchRenderer(backgrounds), device)
-    count = counter(progress, len(scenes) * (1 + len(trials)))
-    changes = [trial.change for trial in trials]
+    count = counter(progress, len(scenes) * (1 + len(changes)))
     seen = views(detectors, scenes, changes, stage, progress=count)
     before = next(seen)
-    drawn = BaselineSet(
+    rendered = BaselineSet(
         "rendered scenes",
         before.images,
         real=False,
         note="drawn as they are, before any change",
         places=[scene.background.tile for scene in scenes],
     )
-    baselines = [measure_baseline(each, drawn, before, seed=seed) for each in detectors]
-    baselines += measure_baselines(detectors, frames, seed=seed)
-    rates = _rates(detectors, scenes, trials, before, seen, seed)
+    baselines = measure_baselines(detectors, rendered, before, seed=seed)
+    for each in frames:
+        baselines += measure_baselines(detectors, each, seed=seed)
+    rates = _rates(detectors, scenes, changes, before, seen, seed)
     on = measured_on(backgrounds, fleet, scenes, draws=draws, seed=seed, frames=frames)
     return [
         PrecheckRecord(
@@ -101,18 +114,52 @@ def precheck(
     ]
 
 
+def precheck_changes(palette: Float[Tensor, "K 3"], *, draws: int, seed: int) -> list[Change]:
+    """Makes all changes of a precheck.
+
+    `palette` gives the fixed colours of R-Fc and R-PixFc as sRGB in [0, 1]; `seed` decides the
+    `draws` of every random control.
+    """
+    kinds: tuple[tuple[Kind, bool], ...] = (("paint_body", True), ("paint_whole", False))
+    changes = [
+        Change(_hex(colour), plain_paint(colour, masked=masked), kind=kind)
+        for kind, masked in kinds
+        for colour in LATTICE
+    ]
+    changes += [
+        Change(_hex(upper) + _hex(lower), two_tone_paint(upper, lower), kind="two_tone")
+        for upper, lower in TWO_TONES
+    ]
+    changes += [Change(f"{sigma:g} px", blur_sigma_px=sigma, kind="blur") for sigma in BLURS_PX]
+    changes += [
+        Change(name, _control(name, draw, palette, seed), kind="control")
+        for name in CONTROLS
+        for draw in range(draws)
+    ]
+    return changes + [
+        Change(f"{angle:g}°", sun_elevation_deg=angle, kind="sun") for angle in SUN_ELEVATIONS_DEG
+    ]
+
+
+def _hex(colour: Colour) -> str:
+    return f"#{bytes(colour).hex()}"
+
+
+def _control(text: str, draw: int, palette: Float[Tensor, "K 3"], seed: int) -> Camouflage:
+    name = CamouflageName.parse(text).with_repeat(draw)
+    generator = generator_of(seed, "gate", str(name))
+    return make_camouflage(name, generator=generator, palette=palette).requires_grad_(False)
+
+
 def _rates(
     detectors: Sequence[Detector],
     scenes: Sequence[Scene],
-    trials: Sequence[Trial],
+    changes: Sequence[Change],
     before: View,
     changed: Iterable[View],
     seed: int,
 ) -> dict[str, list[Rate]]:
-    """What each change hides from each detector; draws of one control are averaged.
-
-    These draws are taken as given: what others would do is left open.
-    """
+    """The rates by detector; the draws of one control are averaged and taken as given."""
     cells = sorted(
         {
             (scene.background.tile, placement.vehicle)
@@ -122,12 +169,12 @@ def _rates(
     )
     row_of = {cell: row for row, cell in enumerate(cells)}
     sample = Sample.draw(cells, generator=numpy_generator(seed))
-    counts: dict[tuple[str, Kind, str], list[np.ndarray]] = {}
-    for trial, after in zip(trials, changed, strict=True):
+    counts: dict[tuple[str, Any, str], list[np.ndarray]] = {}
+    for change, after in zip(changes, changed, strict=True):
         for each in detectors:
             outcomes = compare(scenes, before, after, each, TorchRenderer.name, [MAIN_MATCH])
-            key = (each.name, trial.kind, trial.name)
-            counts.setdefault(key, []).append(count_cells(outcomes, row_of))
+            drawn = counts.setdefault((each.name, change.kind, change.name), [])
+            drawn.append(count_cells(outcomes, row_of))
     rates: dict[str, list[Rate]] = {each.name: [] for each in detectors}
     for (detector, kind, name), drawn in counts.items():
         easr = mean_interval(Group(np.stack(drawn), sample))
@@ -144,9 +191,8 @@ def measured_on(
     seed: int,
     frames: Sequence[BaselineSet] = (),
 ) -> MeasuredOn:
-    """Says what a precheck measures on; two that agree in it measured the same."""
-    names = dict.fromkeys(scene.background.tile for scene in scenes)
-    tiles = [backgrounds.tile(name) for name in names]
+    """Identifies the data of a precheck; two that agree in it measured the same."""
+    tiles = [backgrounds.tile(name) for name in {s.background.tile: None for s in scenes}]
     return MeasuredOn(
         scenes=len(scenes),
         scenes_sha256=scenes_digest(scenes),

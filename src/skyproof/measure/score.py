@@ -1,4 +1,4 @@
-"""Detectors scored: every camouflage measured, and all that a report needs of it in one folder."""
+"""Score folders: every camouflage measured, with all that a report needs."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from skyproof.detectors.average_precision import average_precision
 from skyproof.detectors.detector import Detector
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import finished_folder, write_beside
-from skyproof.measure.baseline import BaselineSet, measure_baseline, measure_baselines
+from skyproof.measure.baseline import BaselineSet, measure_baselines
 from skyproof.measure.measure import compare
 from skyproof.measure.views import Change, Stage, View, counter, refuse_twice, views
 from skyproof.results.baseline import Baseline
@@ -48,15 +48,15 @@ def score(
     """Writes a score folder: outcomes, baselines and pictures.
 
     Args:
-        detectors: with their cards.
-        folder: written whole or not at all.
-        scenes: all of one image size; without a stage none are drawn.
-        changes: of different names.
-        stage: what the scenes are drawn with.
-        unchanged: the scenes as they are, where they are drawn already.
-        baselines: further images without camouflage that the detectors are tried on.
-        seed: of the bootstrap.
-        sources: what the ground was cut from, or ["procedural"]; empty where it is not known.
+        detectors: detectors with cards.
+        folder: folder to write, whole or not at all.
+        scenes: scenes of one image size; without a stage none are rendered.
+        changes: changes of different names.
+        stage: vehicles and renderer.
+        unchanged: the scenes as they are, if they are rendered already.
+        baselines: further images without camouflage.
+        seed: seed of the bootstrap.
+        sources: sources of the ground, or ["procedural"]; empty if not known.
         add: writes more into the folder before it is finished.
         progress: called with (images done, images in all).
 
@@ -64,8 +64,8 @@ def score(
         The outcomes detector by detector, then change by change.
 
     Raises:
-        ConfigurationError: as `views` does; two changes or sets have one name, or `unchanged` was
-            drawn otherwise than the stage draws.
+        ConfigurationError: as `views`; two changes or sets have one name, or `unchanged` was
+            rendered with other settings than the stage's.
         StoredFileError: an image is missing or damaged.
         RunFolderError: the folder exists, or the disk cannot take it.
     """
@@ -74,22 +74,25 @@ def score(
     refuse_twice("sets of frames", [each.name for each in baselines])
     images = (len(scenes) * (1 + len(changes))) if stage else 0
     count = counter(progress, images + sum(len(each.images) for each in baselines))
-    checks: list[Baseline] = []
+    rows: list[Baseline] = []
     outcomes: list[Outcome] = []
-    if stage is not None and unchanged is not None:
-        _refuse_other_drawing(unchanged, scenes, stage)
     with finished_folder(Path(folder)) as partial:
         if stage is not None:
+            if unchanged is not None:
+                _refuse_other_rendering(unchanged, scenes, stage)
             shown = views(detectors, scenes, changes, stage, unchanged=unchanged, progress=count)
             writer = _Writer(partial, detectors, scenes, stage.renderer.name, next(shown))
-            checks = writer.baselines(seed)
+            rows = writer.baselines(seed)
             for after in shown:
                 writer.add(after)
             outcomes = writer.write()
-        checks += measure_baselines(detectors, baselines, seed=seed, progress=count)
+        for each in baselines:
+            rows += measure_baselines(detectors, each, seed=seed)
+            if count is not None:
+                count(len(each.images))
         order = [each.name for each in detectors]
-        checks.sort(key=lambda check: order.index(check.detector))
-        write_rows(partial / "baselines.json", checks)
+        rows.sort(key=lambda row: order.index(row.detector))
+        write_rows(partial / "baselines.json", rows)
         if add is not None:
             add(partial)
         thresholds = {each.name: each.threshold for each in detectors}
@@ -98,7 +101,7 @@ def score(
     return outcomes
 
 
-def _refuse_other_drawing(unchanged: Dataset, scenes: Sequence[Scene], stage: Stage) -> None:
+def _refuse_other_rendering(unchanged: Dataset, scenes: Sequence[Scene], stage: Stage) -> None:
     """Pairs may differ in camouflage and in nothing else."""
     vehicles = [len(scene.placements) for scene in scenes]
     if list(unchanged.ids) != [scene.id for scene in scenes] or vehicles != list(
@@ -123,7 +126,7 @@ def _refuse_other_drawing(unchanged: Dataset, scenes: Sequence[Scene], stage: St
 
 
 class _Writer:
-    """Takes in one view after the other, and keeps of each what the score folder holds."""
+    """Takes one view after the other, and keeps of each what the score folder holds."""
 
     def __init__(
         self,
@@ -139,20 +142,19 @@ class _Writer:
         self._renderer = renderer
         self._before = before
         self._pairs: list[Pair] = []
-        self._original = [score for each in detectors for score in self._set_scores(each, before)]
-        # By detector, since tables go by detectors before they go by camouflages.
+        self._original = [row for each in detectors for row in self._set_scores(each, before)]
+        # Tables go by detectors before they go by camouflages.
         self._outcomes: dict[str, list[Outcome]] = {each.name: [] for each in detectors}
         self._sets: dict[str, list[SetScore]] = {each.name: [] for each in detectors}
 
     def baselines(self, seed: int) -> list[Baseline]:
-        """How good the detectors are without a change."""
         images = BaselineSet(
             "Blender Cycles test" if self._renderer == "cycles" else "rendered test",
             self._before.images,
             real=False,
             places=[scene.background.tile for scene in self._scenes],
         )
-        return [measure_baseline(each, images, self._before, seed=seed) for each in self._detectors]
+        return measure_baselines(self._detectors, images, self._before, seed=seed)
 
     def add(self, after: View) -> None:
         """Compares a view with that of the unchanged scenes."""
@@ -164,33 +166,26 @@ class _Writer:
                 self._draw(after, detector, found)
 
     def write(self) -> list[Outcome]:
-        """Writes all but pictures, which are there already; returns the outcomes."""
-        outcomes = [outcome for own in self._outcomes.values() for outcome in own]
+        """Writes all but the pictures, which exist already, and returns the outcomes."""
+        outcomes = [outcome for rows in self._outcomes.values() for outcome in rows]
         write_outcomes(self._folder / "outcomes.parquet", outcomes)
-        sets = [score for own in self._sets.values() for score in own]
+        sets = [row for rows in self._sets.values() for row in rows]
         write_rows(self._folder / "sets.json", [*self._original, *sets])
         write_pairs(self._folder, self._pairs)
         return outcomes
 
     def _set_scores(self, detector: Detector, view: View) -> list[SetScore]:
-        scores = []
+        rows = []
         for match in MATCHES:
             matches = view.matched(detector.name, match)
             _, false_alarms = matches.counts_at(detector.threshold)
-            scores.append(
-                SetScore(
-                    view.name,
-                    self._renderer,
-                    detector.name,
-                    match,
-                    average_precision(matches),
-                    false_alarms_per_km2(false_alarms, view.images.area_m2),
-                )
-            )
-        return scores
+            ap = average_precision(matches)
+            per_km2 = false_alarms_per_km2(false_alarms, view.images.area_m2)
+            rows.append(SetScore(view.name, self._renderer, detector.name, match, ap, per_km2))
+        return rows
 
     def _draw(self, after: View, detector: Detector, outcomes: Sequence[Outcome]) -> None:
-        """Draws the chosen scenes of one camouflage; those without it are shared by all."""
+        """Draws the chosen scenes of one camouflage; all camouflages share those without it."""
         scenes: dict[str, list[Outcome]] = {}
         for outcome in outcomes:
             if outcome.match == MAIN_MATCH:
@@ -216,25 +211,19 @@ class _Writer:
             )
 
     def _picture(
-        self,
-        view: View,
-        scene: str,
-        detector: Detector,
-        vehicles: dict[int, tuple[bool, float]],
+        self, view: View, scene: str, detector: Detector, vehicles: dict[int, tuple[bool, float]]
     ) -> str:
-        """Draws what a detector finds in one image, if it is not drawn yet; returns the file."""
+        """Draws the detections in one image unless its file exists; returns the file."""
         file = f"{view.name}/{scene}.jpg"
         path = self._folder / "pairs" / file
         if path.exists():
             return file
         index = list(view.images.ids).index(scene)
         found = view.found[detector.name][index]
+        boxes = view.images.boxes[index].numpy()
         picture = draw_scene(
             view.images.image(index).permute(1, 2, 0).numpy(),
-            [
-                (view.images.boxes[index][place].numpy(), hit, score)
-                for place, (hit, score) in vehicles.items()
-            ],
+            [(boxes[place], hit, score) for place, (hit, score) in vehicles.items()],
             found.boxes.cpu().numpy(),
             found.scores.cpu().numpy(),
             detector.threshold,

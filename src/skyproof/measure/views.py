@@ -1,4 +1,4 @@
-"""Scenes drawn as they are and under changes, and looked at by detectors, batch by batch."""
+"""Scenes as they are and under changes, rendered and shown to detectors batch by batch."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ from skyproof.render.dataset import in_threads, placed_vehicles
 from skyproof.render.frames import Frames, Renderer
 from skyproof.render.renderer import TorchRenderer
 from skyproof.results.pairs.outcomes import ORIGINAL, Match
+from skyproof.results.precheck import Kind
 from skyproof.results.result import MAIN_MATCH
 from skyproof.scenes.scene import Scene
 from skyproof.vehicles.fleet import Fleet
@@ -31,19 +32,21 @@ _BATCH_SIZE = 8
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """How scenes are changed before they are drawn; what is None stays as it is.
+    """A change of scenes before they are rendered; None leaves the scene as it is.
 
     Attributes:
-        name: as the outcomes show it.
-        camouflage: what the vehicles wear.
-        blur_sigma_px: how sharp the vehicles are drawn.
-        sun_elevation_deg: where the sun stands.
+        name: name in the outcomes.
+        camouflage: camouflage of all vehicles.
+        blur_sigma_px: blur of the vehicles.
+        sun_elevation_deg: elevation of the sun.
+        kind: kind of a change in the precheck; None for a camouflage under test.
     """
 
     name: str
     camouflage: Camouflage | None = None
     blur_sigma_px: float | None = None
     sun_elevation_deg: float | None = None
+    kind: Kind | None = None
 
     def lit(self, scene: Scene) -> Scene:
         """The scene under the changed sun."""
@@ -55,13 +58,13 @@ class Change:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Scenes as they are, or under one change, and what the detectors find in them.
+    """Scenes under one change, and the detections in them.
 
     Attributes:
-        name: of the change; "original" where nothing is changed.
-        images: one per scene, with its vehicles; those drawn here are drawn again when they are
-            asked for.
-        found: per detector and image its detections.
+        name: name of the change; "original" without one.
+        images: one image per scene, with its vehicles; rendered images are rendered again on
+            demand.
+        found: detections by detector and image.
     """
 
     name: str
@@ -70,7 +73,7 @@ class View:
     _matched: dict[tuple[str, Match], MatchTable] = field(default_factory=dict, repr=False)
 
     def matched(self, detector: str, match: Match) -> MatchTable:
-        """A detector's detections, matched with the vehicles by a rule; worked out once."""
+        """A detector's detections matched with the vehicles by a rule, computed once."""
         key = (detector, match)
         if key not in self._matched:
             self._matched[key] = match_images(self.found[detector], self.images, criterion=match)
@@ -79,20 +82,14 @@ class View:
 
 @dataclass(frozen=True)
 class Stage:
-    """What scenes are drawn with.
-
-    Attributes:
-        fleet: holds every vehicle that the scenes name.
-        renderer: draws them.
-        device: where.
-    """
+    """Vehicles, renderer and device for scenes."""
 
     fleet: Fleet
     renderer: Renderer
     device: torch.device | str = "cpu"
 
     def under(self, change: Change) -> Callable[[Sequence[Scene]], Frames]:
-        """Gives what draws scenes under a change; several threads may call it."""
+        """Returns a function that renders scenes under a change; several threads may call it."""
         renderer = self.renderer
         if change.blur_sigma_px is not None:
             if not isinstance(renderer, TorchRenderer):
@@ -102,13 +99,13 @@ class Stage:
                 )
             settings = replace(renderer.settings, blur_sigma_px=change.blur_sigma_px)
             renderer = TorchRenderer(renderer.backgrounds, settings)
-        worn = None if change.camouflage is None else change.camouflage.to(self.device)
+        camouflage = None if change.camouflage is None else change.camouflage.to(self.device)
 
         @torch.no_grad()
         def draw(scenes: Sequence[Scene]) -> Frames:
             vehicles = placed_vehicles(self.fleet, scenes).to(self.device)
             lit = [change.lit(scene) for scene in scenes]
-            return renderer(lit, vehicles if worn is None else worn(vehicles))
+            return renderer(lit, vehicles if camouflage is None else camouflage(vehicles))
 
         return draw
 
@@ -122,27 +119,27 @@ def views(
     unchanged: Dataset | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Iterator[View]:
-    """Yields the scenes as they are, then under each change, as all detectors see them.
+    """Yields the view of the scenes as they are, then one under each change.
 
-    Images have 8 bits a channel, as in files, and those of more than 1024 px a side are looked at
-    in windows (`detect_by_each`). A batch is drawn while the detectors look at the one before.
+    Images have 8 bits a channel, as in files, and those of more than 1024 px a side are split into
+    windows (`detect_by_each`). A batch is rendered while the detectors run on the one before.
 
     Args:
-        detectors: with their cards.
-        scenes: of one image size.
-        changes: of different names.
-        stage: what the scenes are drawn with.
-        unchanged: the scenes as they are, where they are drawn already.
-        progress: called with the number of images of each batch that was looked at.
+        detectors: detectors with cards, of different names.
+        scenes: scenes of one image size.
+        changes: changes of different names.
+        stage: vehicles and renderer.
+        unchanged: the scenes as they are, if they are rendered already.
+        progress: called with the number of images of each finished batch.
 
     Raises:
         ConfigurationError: no scene shows a vehicle, a detector is made for another resolution or
             finds no vehicle without a change, or two detectors have one name.
         StoredFileError: a tile or an image is missing or damaged.
     """
-    _refuse_what_cannot_work(detectors, scenes)
+    _check(detectors, scenes)
     if unchanged is None:
-        before = _draw_and_look(detectors, scenes, Change(ORIGINAL), stage, progress)
+        before = _render_and_detect(detectors, scenes, Change(ORIGINAL), stage, progress)
     else:
         before = look(detectors, ORIGINAL, unchanged)
         if progress:
@@ -151,20 +148,19 @@ def views(
         _refuse_blind(each, before)
     yield before
     for change in changes:
-        yield _draw_and_look(detectors, scenes, change, stage, progress)
+        yield _render_and_detect(detectors, scenes, change, stage, progress)
 
 
 def look(detectors: Sequence[Detector], name: str, images: Dataset) -> View:
-    """Has every detector look at images that are there."""
+    """Runs every detector on existing images."""
     found = detect_by_each(detectors, images)
-    names = [each.name for each in detectors]
-    return View(name, images, dict(zip(names, found, strict=True)))
+    return View(name, images, dict(zip([each.name for each in detectors], found, strict=True)))
 
 
 def counter(
     progress: Callable[[int, int], None] | None, total: int
 ) -> Callable[[int], None] | None:
-    """Turns what is called with (done, total) into what is called with each further number."""
+    """Turns a function of (done, total) into one of the number of further images."""
     if progress is None:
         return None
     done = 0
@@ -177,14 +173,13 @@ def counter(
     return count
 
 
-def _draw_and_look(
+def _render_and_detect(
     detectors: Sequence[Detector],
     scenes: Sequence[Scene],
     change: Change,
     stage: Stage,
     progress: Callable[[int], None] | None,
 ) -> View:
-    """Draws the scenes under a change, and has every detector look at them."""
     draw = stage.under(change)
     batches = [scenes[start : start + _BATCH_SIZE] for start in range(0, len(scenes), _BATCH_SIZE)]
     gsd_m = scenes[0].camera.gsd_m
@@ -195,16 +190,16 @@ def _draw_and_look(
     threads = torch.get_num_threads()
     several = stage.renderer.concurrent and torch.device(stage.device).type == "cpu"
     with in_threads(draw, batches, threads if several else 1) as drawn:
-        # Drawing is done ahead, so most of the time the detectors have the cores to themselves.
+        # Rendering is done ahead, so most of the time the detectors have the cores to themselves.
         torch.set_num_threads(threads)
         for batch, frames in zip(batches, drawn, strict=True):
             pixels = _bytes(frames)
-            nothing = [torch.zeros(0, 4)] * len(batch)
-            shown = Dataset.of_images(list(pixels), nothing, gsd_m=gsd_m)
-            for name, answers in look(detectors, change.name, shown).found.items():
-                found[name] += answers
+            unlabelled = [torch.zeros(0, 4)] * len(batch)
+            shown = Dataset.of_images(list(pixels), unlabelled, gsd_m=gsd_m)
+            for name, detections in look(detectors, change.name, shown).found.items():
+                found[name] += detections
             size_px = (pixels.shape[3], pixels.shape[2])
-            pictures += [_Drawn(size_px, partial(draw, [scene])) for scene in batch]
+            pictures += [_Rendered(size_px, partial(draw, [scene])) for scene in batch]
             owner = frames.scene_index.cpu()
             labels = _as_stored(frames.boxes.cpu())
             boxes += [labels[owner == index] for index in range(len(batch))]
@@ -224,8 +219,8 @@ def _draw_and_look(
 
 
 @dataclass(frozen=True, eq=False)
-class _Drawn:
-    """A picture that is drawn again whenever somebody looks at it."""
+class _Rendered:
+    """A picture that is rendered again on demand."""
 
     size_px: tuple[int, int]
     draw: Callable[[], Frames]
@@ -242,12 +237,12 @@ def _bytes(frames: Frames) -> UInt8[Tensor, "B 3 H W"]:
 
 
 def _as_stored(boxes: Float[Tensor, "N 4"]) -> Float[Tensor, "N 4"]:
-    """The boxes as a dataset folder gives them back, which keeps corner, width and height."""
+    """Rounds boxes as a dataset folder does, which keeps corner, width and height."""
     corner = boxes[:, :2]
     return torch.cat([corner, corner + (boxes[:, 2:] - corner)], dim=1)
 
 
-def _refuse_what_cannot_work(detectors: Sequence[Detector], scenes: Sequence[Scene]) -> None:
+def _check(detectors: Sequence[Detector], scenes: Sequence[Scene]) -> None:
     if not detectors:
         raise ConfigurationError("Expected at least one detector, got none; give detector folders.")
     if not any(scene.placements for scene in scenes):
@@ -265,7 +260,7 @@ def _refuse_what_cannot_work(detectors: Sequence[Detector], scenes: Sequence[Sce
 
 
 def refuse_twice(kind: str, names: Sequence[str]) -> None:
-    """Tables and files go by name: two of one name would be mixed up.
+    """Refuses two things of one name, because tables and files go by name.
 
     Raises:
         ConfigurationError: a name comes twice.
