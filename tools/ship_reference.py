@@ -25,7 +25,7 @@ from skyproof.detectors.inference import detect_all
 from skyproof.detectors.loaded import load_detector
 from skyproof.detectors.matching import MatchTable, match_images
 from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS, REFERENCE_FOLDER
-from skyproof.detectors.training import validate
+from skyproof.detectors.threshold import validate
 from skyproof.detectors.weights import plain_state
 from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError

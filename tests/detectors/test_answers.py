@@ -14,7 +14,7 @@ from skyproof.detectors.card import DetectorCard
 from skyproof.detectors.detector import Detections
 from skyproof.detectors.inference import detect_all
 from skyproof.detectors.loaded import load_detector
-from skyproof.detectors.training import validate
+from skyproof.detectors.threshold import validate
 from skyproof.errors import ConfigurationError, DetectorAnswerError
 
 IMAGES = torch.zeros(1, 3, 40, 60)
@@ -79,7 +79,7 @@ def test_a_callables_threshold_is_frozen_on_labelled_images():
     assert (found.name, found.threshold, found.card.gsd_m) == ("mine", 0.255, 0.125)
     with pytest.raises(ConfigurationError, match="The threshold of mine is frozen on labelled"):
         load_detector(lambda images: [], None, name="mine")
-    with pytest.raises(ConfigurationError, match="mine finds none of the 1 vehicles"):
+    with pytest.raises(ConfigurationError, match="mine finds none of the 1 labelled vehicles"):
         load_detector(lambda images: [([], [])] * len(images), images, name="mine")
 
 

@@ -21,7 +21,7 @@ from skyproof.detectors.build import build_detector
 from skyproof.detectors.card import read_card
 from skyproof.detectors.import_checkpoint import Checkpoint, import_detector
 from skyproof.detectors.loaded import load_detector
-from skyproof.detectors.training import validate
+from skyproof.detectors.threshold import validate
 from skyproof.detectors.ultralytics_detectors import _quiet_import
 from skyproof.errors import ConfigurationError, RunFolderError, SkyproofError, StoredFileError
 
@@ -185,7 +185,7 @@ def test_a_detector_that_finds_nothing_is_not_imported(
     state["roi_heads.box_predictor.cls_score.bias"][0] = 50.0
     torch.save(state, checkpoint.path)
     with pytest.raises(
-        ConfigurationError, match=r"(?s)none of the vehicles.*--vehicle-classes.*--gsd"
+        ConfigurationError, match=r"(?s)none of the \d+ labelled vehicles.*--vehicle-classes.*--gsd"
     ):
         import_detector(checkpoint, VALIDATION, tmp_path / "out")
     assert not (tmp_path / "out").exists()
@@ -236,7 +236,7 @@ def test_an_ultralytics_checkpoint(
 ) -> None:
     # An untrained network's few boxes hit nothing but by luck.
     scores = {"ap_centre_1m": 0.5, "ap_iou_50": 0.4, "f1": 0.6, "threshold": 0.3}
-    monkeypatch.setattr("skyproof.detectors.import_checkpoint.validate", lambda *_: dict(scores))
+    monkeypatch.setattr("skyproof.detectors.threshold.validate", lambda *_: dict(scores))
     torch.manual_seed(0)
     count = 15 if "obb" in file else 80
     names = [f"class {index}" for index in range(count - 2)] + ["small vehicle", "truck"]

@@ -16,7 +16,8 @@ from skyproof.detectors.build import build_detector
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.inference import to_detector
 from skyproof.detectors.settings import TrainingSettings
-from skyproof.detectors.training import train, validate
+from skyproof.detectors.threshold import validate
+from skyproof.detectors.training import train
 
 pytestmark = pytest.mark.slow
 

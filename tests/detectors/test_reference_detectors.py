@@ -19,7 +19,7 @@ from skyproof.detectors.reference_detectors import (
     REFERENCE_FOLDER,
     reference_folder,
 )
-from skyproof.detectors.training import validate
+from skyproof.detectors.threshold import validate
 from skyproof.errors import ConfigurationError
 from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.render.dataset import placed_vehicles

@@ -6,7 +6,7 @@ from tests.measure.world import judging
 
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.detector import Detections
-from skyproof.detectors.threshold import threshold_of_labels
+from skyproof.detectors.threshold import frozen_card
 from skyproof.errors import ConfigurationError
 
 SIDE_PX = 800
@@ -36,13 +36,13 @@ def images(count, vehicles=0):
 def test_labels_give_the_threshold_of_the_largest_f1():
     judge = judging(Scripted(0.9, 0.8, 0.3, 0.2), threshold=0.85)
     frames = [images(1, vehicles=2)]
-    assert threshold_of_labels(judge, frames) == pytest.approx(0.55)
+    assert frozen_card(judge, Dataset.joined(frames), "").threshold == pytest.approx(0.55)
     # Further frames count as well: where all four are vehicles, the lowest scores count.
     frames.append(images(9, vehicles=4))
-    assert threshold_of_labels(judge, frames) == pytest.approx(0.105)
+    assert frozen_card(judge, Dataset.joined(frames), "").threshold == pytest.approx(0.105)
 
 
 def test_labels_on_which_nothing_is_found_are_refused():
     judge = judging(Scripted())
     with pytest.raises(ConfigurationError, match="finds none of the 2 labelled vehicles"):
-        threshold_of_labels(judge, [images(1, vehicles=2)])
+        frozen_card(judge, images(1, vehicles=2), "")

@@ -13,12 +13,10 @@ from skyproof.console import progress_bar, say, stage_bars
 from skyproof.cycles.opening import open_renderer
 from skyproof.cycles.rendering import Rendering
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.black_box import frozen_card
 from skyproof.detectors.card import write_card
 from skyproof.detectors.import_checkpoint import Checkpoint, import_detector
-from skyproof.detectors.loaded import copy_detector, load_detector
+from skyproof.detectors.loaded import copy_detector, copy_with_threshold, load_detector
 from skyproof.detectors.reference_detectors import detector_folder
-from skyproof.detectors.threshold import copy_with_threshold
 from skyproof.files import finished_folder, new_file
 from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.imagery.clearing.clear import clear_backgrounds
@@ -188,7 +186,8 @@ def brought(its: Subject, name: str, place: Path | None, validation: Path) -> St
         images = Dataset.open(validation)
         if place is None:
             assert its.black_box is not None
-            card = frozen_card(its.black_box, images)
+            its.black_box.freeze(images)
+            card = its.black_box.card
             out.mkdir(parents=True, exist_ok=True)
             write_card(out / "detector.json", card)
         else:

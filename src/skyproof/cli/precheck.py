@@ -161,7 +161,7 @@ class Precheck:
                 "on; give --frames."
             )
         from skyproof.detectors.card import read_card
-        from skyproof.detectors.threshold import copy_with_threshold
+        from skyproof.detectors.loaded import copy_with_threshold
         from skyproof.device import choose_device
         from skyproof.measure.frames import read_frames
 

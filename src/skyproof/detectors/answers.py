@@ -12,8 +12,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.card import DetectorCard
 from skyproof.detectors.detector import Detections, Detector
+from skyproof.detectors.threshold import frozen_card
 from skyproof.errors import ConfigurationError, DetectorAnswerError, SkyproofError
 from skyproof.ranges import is_name
 
@@ -55,6 +57,21 @@ class BlackBoxDetector(Detector):
                 f"not dots alone), got {type(detector).__name__} named {str(self.name)[:100]!r}; "
                 "give a function from images to boxes and scores, and name=."
             )
+
+    def freeze(self, labelled: Dataset | None) -> None:
+        """Freezes the threshold on labelled images, which gives the detector its card.
+
+        Raises:
+            ConfigurationError: no image or vehicle is given, or the detector finds none.
+            DetectorAnswerError: it does not answer, or its answer is impossible.
+        """
+        if labelled is None:
+            raise ConfigurationError(
+                f"The threshold of {self.name} is frozen on labelled images, got none; give a "
+                "Dataset."
+            )
+        remedy = "check that its boxes are left, top, right, bottom in pixels"
+        self.set_card(frozen_card(self, labelled, remedy))
 
     @torch.no_grad()
     def detect(self, images: Float[Tensor, "B 3 H W"]) -> list[Detections]:

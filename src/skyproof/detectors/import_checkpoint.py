@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +14,13 @@ from torchvision.models import detection
 
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.blueprint import Blueprint
-from skyproof.detectors.card import DetectorCard, installed_version, require_detector_name
+from skyproof.detectors.card import DetectorCard, require_detector_name
 from skyproof.detectors.checkpoints import network_of, read_checkpoint, state_of
 from skyproof.detectors.imported import ImportedDetector
 from skyproof.detectors.imported_torchvision import count_classes
 from skyproof.detectors.loaded import save_detector
 from skyproof.detectors.stored_ultralytics import read_ultralytics
-from skyproof.detectors.training import check_validation, validate
+from skyproof.detectors.threshold import check_validation, frozen_card
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import finished_folder, refuse_existing
 from skyproof.ranges import GroundResolution, check_value
@@ -116,26 +116,16 @@ def import_detector(
         raise ConfigurationError(f"{checkpoint.path} cannot be imported: {error}") from error
     _load(detector, state, checkpoint)
     detector.eval().requires_grad_(False).to(device)
-    scores = validate(detector, validation)
-    threshold = scores.pop("threshold")
-    if not scores["f1"]:
-        raise ConfigurationError(
-            f"{checkpoint.path} finds none of the vehicles of the validation images, so no "
-            "threshold can be frozen; check --vehicle-classes, and say which metres per pixel it "
-            "was made for (--gsd; --detector-gsd of skyproof assess)."
-        )
+    remedy = (
+        "check --vehicle-classes, and say which metres per pixel it was made for (--gsd; "
+        "--detector-gsd of skyproof assess)"
+    )
     width, height = validation.pictures[0].size_px
-    card = DetectorCard(
-        name=name,
+    card = replace(
+        frozen_card(detector, validation, remedy),
         size=detector.size,
-        threshold=threshold,
-        gsd_m=validation.gsd_m,
         image_size_px=(height, width),
         parameters=sum(parameter.numel() for parameter in detector.parameters()),
-        training={},
-        validation=scores,
-        validation_vehicles=sum(map(len, validation.boxes)),
-        skyproof_version=installed_version(),
         trained_on=f"elsewhere: {checkpoint.kind} checkpoint {checkpoint.path.name}",
         brought=blueprint,
     )

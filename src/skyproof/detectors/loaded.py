@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import overload
@@ -17,9 +17,10 @@ from skyproof.detectors.card import DetectorCard, read_card, write_card
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.reference_detectors import detector_folder, reinstalled
 from skyproof.detectors.settings import SIZES
+from skyproof.detectors.threshold import frozen_card
 from skyproof.detectors.weights import plain_state
 from skyproof.errors import ConfigurationError, StoredFileError
-from skyproof.files import inside, write_bytes
+from skyproof.files import finished_folder, inside, write_bytes
 from skyproof.storage import read_tensors, write_tensors
 
 
@@ -74,9 +75,9 @@ def load_detector(
             has no name or finds no vehicle.
     """
     if not isinstance(detector, str | Path):
-        from skyproof.detectors.black_box import open_black_box
-
-        return open_black_box(detector, labelled, name)
+        black_box = BlackBoxDetector(detector, name)
+        black_box.freeze(labelled)
+        return black_box
     place = detector_folder(detector)
     with reinstalled(place):
         return _load(place)
@@ -155,6 +156,29 @@ def load_apart(
         if names.count(detector.name) > 1:
             detector.set_card(replace(detector.card, name=folder.name))
     return detectors
+
+
+def copy_with_threshold(
+    folder: Path, labelled: Mapping[str, Dataset], out: Path, device: torch.device | str
+) -> str:
+    """Writes a copy of a detector folder to `out` with its threshold frozen on labelled images.
+
+    The card mentions the names of `labelled`. Returns a sentence on the change.
+
+    Raises:
+        ConfigurationError: as `frozen_card`.
+        StoredFileError: the folder is damaged.
+        RunFolderError: `out` exists, or the disk cannot take it.
+    """
+    with finished_folder(out) as partial:
+        (detector,) = load_ensemble([folder], device, read_card(folder).gsd_m)
+        images = Dataset.joined(list(labelled.values()))
+        remedy = "give other frames, or train it longer or on more images"
+        threshold = frozen_card(detector, images, remedy).threshold
+        how = f"the lowest within a point of the best F1 on labelled images ({', '.join(labelled)})"
+        card = replace(detector.card, threshold=threshold, threshold_from=how)
+        save_detector(partial, detector, card)
+    return f"Threshold {threshold:.3f} instead of {detector.threshold:.3f}: {how}."
 
 
 def _of_card(card: DetectorCard) -> TrainableDetector:

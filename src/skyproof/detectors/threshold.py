@@ -1,65 +1,75 @@
-"""Another frozen threshold, where that of the card does not carry over to the imagery at hand."""
+"""Validation of a detector on labelled images, and the threshold that it freezes."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from pathlib import Path
-
-import torch
-
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.average_precision import frozen_threshold, precision_recall
-from skyproof.detectors.card import read_card
+from skyproof.detectors.average_precision import (
+    average_precision,
+    frozen_threshold,
+    precision_recall,
+)
+from skyproof.detectors.card import DetectorCard, installed_version
 from skyproof.detectors.detector import Detector
-from skyproof.detectors.inference import detect_all
-from skyproof.detectors.loaded import load_ensemble, save_detector
+from skyproof.detectors.inference import WINDOW_PX, detect_all
 from skyproof.detectors.matching import match_images
 from skyproof.errors import ConfigurationError
-from skyproof.files import finished_folder
 
 
-def threshold_of_labels(detector: Detector, labelled: Sequence[Dataset]) -> float:
-    """Returns the threshold to freeze by F1 (centre within 1 m) on labelled images.
-
-    Raises:
-        ConfigurationError: there is no vehicle, or the detector finds none.
-    """
-    images = Dataset.joined(labelled)
-    matches = match_images(detect_all(detector, images), images, criterion="centre_1m")
-    threshold, f1 = frozen_threshold(precision_recall(matches))
-    if not f1:
-        raise ConfigurationError(
-            f"{detector.name} finds none of the {matches.vehicles} labelled vehicles, so no "
-            "threshold can be frozen on them; give other frames, or train it longer or on more "
-            "images."
-        )
-    return threshold
-
-
-def copy_with_threshold(
-    folder: Path, labelled: Mapping[str, Dataset], out: Path, device: torch.device | str
-) -> str:
-    """Writes a copy of a detector folder with its threshold frozen on labelled images.
-
-    Args:
-        folder: the detector's; it stays as it is.
-        labelled: sets of images, by the names that the card is to mention.
-        out: folder to write, whole or not at all.
-        device: where the detector runs.
+def validate(detector: Detector, validation: Dataset) -> dict[str, float]:
+    """Measures a detector on labelled images.
 
     Returns:
-        What was done, in a sentence.
+        "ap_centre_1m" and "ap_iou_50"; the "threshold" to freeze, and its "f1" by centres.
+    """
+    detections = detect_all(detector, validation)
+    centre = match_images(detections, validation, criterion="centre_1m")
+    overlap = match_images(detections, validation, criterion="iou_50")
+    threshold, f1 = frozen_threshold(precision_recall(centre))
+    return {
+        "ap_centre_1m": average_precision(centre),
+        "ap_iou_50": average_precision(overlap),
+        "f1": f1,
+        "threshold": threshold,
+    }
+
+
+def check_validation(validation: Dataset) -> None:
+    """Refuses images that cannot give a threshold.
 
     Raises:
-        ConfigurationError: as `threshold_of_labels` does.
-        StoredFileError: the folder is damaged.
-        RunFolderError: `out` exists, or the disk cannot take it.
+        ConfigurationError: they hold no vehicle.
     """
-    with finished_folder(out) as partial:
-        (detector,) = load_ensemble([folder], device, read_card(folder).gsd_m)
-        threshold = threshold_of_labels(detector, list(labelled.values()))
-        how = f"the lowest within a point of the best F1 on labelled images ({', '.join(labelled)})"
-        card = replace(detector.card, threshold=threshold, threshold_from=how)
-        save_detector(partial, detector, card)
-    return f"Threshold {threshold:.3f} instead of {detector.threshold:.3f}: {how}."
+    if not any(len(boxes) for boxes in validation.boxes):
+        raise ConfigurationError(
+            "Validation expects at least one vehicle, to choose a threshold by; give images "
+            "with some."
+        )
+
+
+def frozen_card(detector: Detector, labelled: Dataset, remedy: str) -> DetectorCard:
+    """Freezes a detector's threshold on labelled images, and returns its card.
+
+    `remedy` is the advice to a detector that finds nothing.
+
+    Raises:
+        ConfigurationError: no vehicle is labelled, or the detector finds none.
+    """
+    check_validation(labelled)
+    scores = validate(detector, labelled)
+    threshold = scores.pop("threshold")
+    vehicles = sum(map(len, labelled.boxes))
+    if not scores["f1"]:
+        raise ConfigurationError(
+            f"{detector.name} finds none of the {vehicles} labelled vehicles, so no threshold can "
+            f"be frozen on them; {remedy}."
+        )
+    width_px, height_px = labelled.pictures[0].size_px
+    return DetectorCard(
+        name=detector.name,
+        threshold=threshold,
+        gsd_m=labelled.gsd_m,
+        image_size_px=(min(height_px, WINDOW_PX), min(width_px, WINDOW_PX)),
+        validation=scores,
+        validation_vehicles=vehicles,
+        skyproof_version=installed_version(),
+    )

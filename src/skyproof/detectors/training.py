@@ -15,18 +15,12 @@ from torch.optim.lr_scheduler import LambdaLR
 from torch.optim.swa_utils import AveragedModel
 
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.average_precision import (
-    average_precision,
-    frozen_threshold,
-    precision_recall,
-)
 from skyproof.detectors.batches import WINDOW_PX, training_batches
 from skyproof.detectors.card import DetectorCard, installed_version
-from skyproof.detectors.detector import Detector, TrainableDetector
-from skyproof.detectors.inference import detect_all
+from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.loaded import load_detector, save_detector
-from skyproof.detectors.matching import match_images
 from skyproof.detectors.settings import TrainingSettings
+from skyproof.detectors.threshold import check_validation, validate
 from skyproof.detectors.weights import plain_state
 from skyproof.errors import ConfigurationError, NotFiniteError
 from skyproof.files import alone
@@ -174,24 +168,6 @@ def _take_steps(
             loop.report({"kind": "validation", "step": step, **scores})
 
 
-def validate(detector: Detector, validation: Dataset) -> dict[str, float]:
-    """Measures a detector on labelled images.
-
-    Returns:
-        "ap_centre_1m" and "ap_iou_50"; the "threshold" to freeze, and its "f1" by centres.
-    """
-    detections = detect_all(detector, validation)
-    centre = match_images(detections, validation, criterion="centre_1m")
-    overlap = match_images(detections, validation, criterion="iou_50")
-    threshold, f1 = frozen_threshold(precision_recall(centre))
-    return {
-        "ap_centre_1m": average_precision(centre),
-        "ap_iou_50": average_precision(overlap),
-        "f1": f1,
-        "threshold": threshold,
-    }
-
-
 class _Best:
     """The best averaged weights so far, and their scores."""
 
@@ -266,19 +242,6 @@ def _check(training: Dataset, validation: Dataset) -> None:
         raise ConfigurationError(
             f"Training images have {training.gsd_m} m per pixel, validation images "
             f"{validation.gsd_m}; resample one."
-        )
-
-
-def check_validation(validation: Dataset) -> None:
-    """Refuses images that cannot give a threshold.
-
-    Raises:
-        ConfigurationError: they hold no vehicle.
-    """
-    if not any(len(boxes) for boxes in validation.boxes):
-        raise ConfigurationError(
-            "Validation expects at least one vehicle, to choose a threshold by; give images "
-            "with some."
         )
 
 

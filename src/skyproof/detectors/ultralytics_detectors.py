@@ -46,7 +46,59 @@ MOST_NUMBERS = 10**9
 _WINDOWS = {"kernel_size": (1, 31), "stride": (1, 8), "padding": (0, 31), "dilation": (1, 8)}
 
 
-class YoloV5Detector(TrainableDetector):
+class YoloDetector(TrainableDetector):
+    """A network of Ultralytics, whose detections are those of its vehicle classes.
+
+    An oriented box counts as its upright hull. YOLOv10 and YOLO26 have two heads; the one that the
+    installed Ultralytics reads counts. A box gets the best score among the vehicle classes.
+    """
+
+    model: Any
+    vehicle_classes: Sequence[int]
+
+    def candidates(self, images: Float[Tensor, "B 3 H W"]) -> Candidates:
+        """Every anchor point's box and best sigmoid score."""
+        from ultralytics.utils.tal import dist2bbox, dist2rbox, make_anchors
+
+        outputs = self._outputs(images)
+        points, strides = make_anchors(outputs["feats"], self.model.stride.to(images.device), 0.5)
+        distances = outputs["boxes"].permute(0, 2, 1)
+        levels = self.model.model[-1].reg_max
+        if levels > 1:
+            steps = torch.arange(levels, dtype=distances.dtype, device=distances.device)
+            distances = distances.reshape(*distances.shape[:2], 4, levels).softmax(-1) @ steps
+        if "angle" in outputs:
+            angles = outputs["angle"].permute(0, 2, 1)
+            centred = dist2rbox(distances, angles, points)
+            half = _upright(centred[..., 2:] / 2, angles)
+            boxes = torch.cat([centred[..., :2] - half, centred[..., :2] + half], dim=-1)
+        else:
+            boxes = dist2bbox(distances, points, xywh=False)
+        scores = outputs["scores"][:, list(self.vehicle_classes)].amax(dim=1).sigmoid()
+        return Candidates(boxes * strides, scores, torch.ones_like(scores, dtype=torch.bool))
+
+    @torch.no_grad()
+    def features(
+        self, images: Float[Tensor, "B 3 H W"], boxes: Sequence[Float[Tensor, "_ 4"]]
+    ) -> list[Float[Tensor, "_ C"]]:
+        """See `FeatureDetector.features`; the features are the inputs of the head."""
+        finest = self._outputs(images)["feats"][0]
+        return pool_finest(finest, float(self.model.stride.min()), boxes)
+
+    def _outputs(self, images: Tensor) -> dict[str, Any]:
+        """The raw head, the same in both modes: boxes `[B, _, A]`, scores `[B, _, A]`, features."""
+        check_images(images)
+        stride_px = max(32, int(self.model.stride.max()))
+        # 114/255 is the grey Ultralytics pads with.
+        outputs = self.model(pad_to_stride(images, value=114 / 255, stride_px=stride_px))
+        # In eval mode the head returns (decoded, raw); only raw knows no cached anchors.
+        raw: dict[str, Any] = outputs[1] if isinstance(outputs, tuple) else outputs
+        if "one2one" in raw:
+            return raw["one2one" if self.model.model[-1].end2end else "one2many"]
+        return raw
+
+
+class YoloV5Detector(YoloDetector):
     """Ultralytics' YOLOv5u for one class (section 5.3), built without weights and never fused.
 
     Size "slim" is YOLOv5n with 2.5 M parameters, "full" YOLOv5s with 9.1 M.
@@ -56,7 +108,7 @@ class YoloV5Detector(TrainableDetector):
     """
 
     name = "yolov5"
-    model: Any
+    vehicle_classes = (0,)
 
     def __init__(self, size: str) -> None:
         super().__init__()
@@ -100,38 +152,6 @@ class YoloV5Detector(TrainableDetector):
             losses.append(terms.sum() / (1.0 if len(boxes) else POINTS_PER_VEHICLE))
         return torch.stack(losses)
 
-    def candidates(self, images: Float[Tensor, "B 3 H W"]) -> Candidates:
-        """Every anchor point's box and sigmoid score."""
-        from ultralytics.utils.tal import make_anchors
-
-        outputs = self._outputs(images)
-        points, strides = make_anchors(outputs["feats"], self.model.stride.to(images.device), 0.5)
-        boxes = self._criterion_on(images.device).bbox_decode(
-            points, outputs["boxes"].permute(0, 2, 1).contiguous()
-        )
-        scores = outputs["scores"][:, 0].sigmoid()
-        return Candidates(boxes * strides, scores, torch.ones_like(scores, dtype=torch.bool))
-
-    @torch.no_grad()
-    def features(
-        self, images: Float[Tensor, "B 3 H W"], boxes: Sequence[Float[Tensor, "_ 4"]]
-    ) -> list[Float[Tensor, "_ C"]]:
-        """See `FeatureDetector.features`; the features are the inputs of the head."""
-        finest = self._outputs(images)["feats"][0]
-        return pool_finest(finest, float(self.model.stride.min()), boxes)
-
-    def _outputs(self, images: Tensor) -> dict[str, Any]:
-        """Runs the network; the result is the same in both modes.
-
-        Returns:
-            The raw heads: boxes `[B, 64, A]`, scores `[B, 1, A]`, feature maps.
-        """
-        check_images(images)
-        # 114/255 is the grey Ultralytics pads with.
-        outputs = self.model(pad_to_stride(images, value=114 / 255))
-        # In eval mode the head returns (decoded, raw); only raw knows no cached anchors.
-        return outputs[1] if isinstance(outputs, tuple) else outputs
-
     def _criterion_on(self, device: torch.device) -> Any:
         if self._criterion is None or self._criterion.device != device:
             from ultralytics.utils.loss import v8DetectionLoss
@@ -140,11 +160,8 @@ class YoloV5Detector(TrainableDetector):
         return self._criterion
 
 
-class YoloNetwork(TrainableDetector):
+class YoloNetwork(YoloDetector):
     """Any recent Ultralytics YOLO with any classes, without its weights.
-
-    An oriented box counts as its upright hull. YOLOv10 and YOLO26 have two heads; the one that the
-    installed Ultralytics reads counts. A box gets the best score among the vehicle classes.
 
     Raises:
         ConfigurationError: ultralytics is not installed, or it cannot build the network.
@@ -152,7 +169,6 @@ class YoloNetwork(TrainableDetector):
 
     name = "yolo"
     size = "brought"
-    model: Any
 
     def __init__(self, architecture: Mapping[str, Any], vehicle_classes: Sequence[int]) -> None:
         super().__init__()
@@ -170,43 +186,6 @@ class YoloNetwork(TrainableDetector):
         check_targets(images, targets)
         logits = self._outputs(images)["scores"][:, self.vehicle_classes]
         return CLASS_GAIN * functional.softplus(logits).sum(dim=(1, 2)) / POINTS_PER_VEHICLE
-
-    def candidates(self, images: Float[Tensor, "B 3 H W"]) -> Candidates:
-        """Every anchor point's box and best sigmoid score."""
-        from ultralytics.utils.tal import dist2bbox, dist2rbox, make_anchors
-
-        outputs = self._outputs(images)
-        points, strides = make_anchors(outputs["feats"], self.model.stride.to(images.device), 0.5)
-        distances = outputs["boxes"].permute(0, 2, 1)
-        levels = self.model.model[-1].reg_max
-        if levels > 1:
-            steps = torch.arange(levels, dtype=distances.dtype, device=distances.device)
-            distances = distances.reshape(*distances.shape[:2], 4, levels).softmax(-1) @ steps
-        if "angle" in outputs:
-            angles = outputs["angle"].permute(0, 2, 1)
-            centred = dist2rbox(distances, angles, points)
-            half = _upright(centred[..., 2:] / 2, angles)
-            boxes = torch.cat([centred[..., :2] - half, centred[..., :2] + half], dim=-1)
-        else:
-            boxes = dist2bbox(distances, points, xywh=False)
-        scores = outputs["scores"][:, self.vehicle_classes].amax(dim=1).sigmoid()
-        return Candidates(boxes * strides, scores, torch.ones_like(scores, dtype=torch.bool))
-
-    @torch.no_grad()
-    def features(
-        self, images: Float[Tensor, "B 3 H W"], boxes: Sequence[Float[Tensor, "_ 4"]]
-    ) -> list[Float[Tensor, "_ C"]]:
-        """See `FeatureDetector.features`; the features are the inputs of the head."""
-        finest = self._outputs(images)["feats"][0]
-        return pool_finest(finest, float(self.model.stride.min()), boxes)
-
-    def _outputs(self, images: Tensor) -> dict[str, Any]:
-        check_images(images)
-        stride_px = int(self.model.stride.max())
-        _, raw = self.model(pad_to_stride(images, value=114 / 255, stride_px=max(32, stride_px)))
-        if "one2one" in raw:
-            return raw["one2one" if self.model.model[-1].end2end else "one2many"]
-        return raw
 
 
 def yolov5_architecture(size: str) -> dict[str, Any]:
@@ -260,8 +239,7 @@ def build_model(architecture: Mapping[str, Any]) -> Any:
 def _activate_pooling(model: Any, architecture: Mapping[str, Any]) -> None:
     """Activates the first convolution of each SPPF whose row gives no number of poolings.
 
-    All releases of Ultralytics before 8.4 and the later releases of 8.4 do this; those between do
-    not.
+    Releases of Ultralytics before 8.4 and late releases of 8.4 do this; those between do not.
     """
     rows = [*architecture["backbone"], *architecture["head"]]
     for layer, (_, _, name, given) in zip(model.model, rows, strict=True):
@@ -272,11 +250,7 @@ def _activate_pooling(model: Any, architecture: Mapping[str, Any]) -> None:
 
 
 def _refuse_giants(architecture: Mapping[str, Any]) -> None:
-    """Builds and runs a network without memory for its numbers, to count them first.
-
-    Raises:
-        ConfigurationError: it has too many.
-    """
+    """Builds and runs a network without memory for its numbers, to count them first."""
     from ultralytics.nn.tasks import parse_model
 
     plan = copy.deepcopy(dict(architecture))
@@ -305,11 +279,7 @@ def _refuse_giants(architecture: Mapping[str, Any]) -> None:
 
 
 def _refuse_wide_windows(layers: torch.nn.Module) -> None:
-    """Refuses layers that see far more of an image at once than those of a detector do.
-
-    Raises:
-        ConfigurationError: there is one.
-    """
+    """Refuses layers that see far more of an image at once than those of a detector do."""
     for layer in layers.modules():
         for name, (least, most) in _WINDOWS.items():
             value = getattr(layer, name, None)
@@ -326,13 +296,9 @@ def _upright(half: Tensor, angles: Tensor) -> Tensor:
     """Turns half sides `[..., 2]` of turned boxes into those of the upright boxes around them."""
     cosine = angles.cos().abs()
     sine = angles.sin().abs()
-    return torch.cat(
-        [
-            half[..., :1] * cosine + half[..., 1:] * sine,
-            half[..., :1] * sine + half[..., 1:] * cosine,
-        ],
-        dim=-1,
-    )
+    width = half[..., :1] * cosine + half[..., 1:] * sine
+    height = half[..., :1] * sine + half[..., 1:] * cosine
+    return torch.cat([width, height], dim=-1)
 
 
 @contextmanager
