@@ -274,8 +274,8 @@ def test_a_pooling_layer_computes_what_it_was_trained_with(tmp_path: Path, activ
         model.model[9].cv1.act = nn.Identity()
     torch.save({"model": model}, tmp_path / "best.pt")
     network = network_of(read_checkpoint(tmp_path / "best.pt"))
-    stored = read_ultralytics(tmp_path / "best.pt", network, {}, ["car"])
-    rebuilt = build_model(stored.architecture)
+    architecture, _, _ = read_ultralytics(tmp_path / "best.pt", network, {}, ["car"])
+    rebuilt = build_model(architecture)
     assert isinstance(rebuilt.model[9].cv1.act, nn.SiLU if activated else nn.Identity)
     rebuilt.load_state_dict(model.state_dict())
     wanted, found = model.eval()(image())[0], rebuilt.eval()(image())[0]

@@ -177,11 +177,7 @@ def check_layers(architecture: Any) -> None:
 
 
 def _check_words(nested: Any) -> None:
-    """Refuses texts that are no names among numbers and lists.
-
-    Raises:
-        ConfigurationError: there is one.
-    """
+    """Refuses texts that are no names among numbers and lists."""
     if isinstance(nested, list | tuple):
         for part in nested:
             _check_words(part)
@@ -193,11 +189,7 @@ def _check_words(nested: Any) -> None:
 
 
 def _check_anchors(read: _Architecture, anchors: list[list[float]]) -> None:
-    """Refuses anchors that are no pairs, or that differ in number between levels.
-
-    Raises:
-        ConfigurationError: they do.
-    """
+    """Refuses anchors that are no pairs, or that differ in number between levels."""
     sources, _, head, _ = read.head[-1]
     levels = len(sources) if isinstance(sources, list) else 1
     if head != "Detect" or len(anchors) != levels or len({len(row) for row in anchors}) > 1:

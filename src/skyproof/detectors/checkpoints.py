@@ -214,11 +214,7 @@ def _named(module: StandIn, kind: str) -> list[tuple[str, Any]]:
 
 
 def _refuse_packed(path: Path) -> None:
-    """Refuses an archive that unpacks to more than its own size: torch.save never compresses.
-
-    Raises:
-        ValueError: it is one.
-    """
+    """Refuses an archive that unpacks to more than its own size: torch.save never compresses."""
     if zipfile.is_zipfile(path):
         with zipfile.ZipFile(path) as archive:
             if sum(entry.file_size for entry in archive.infolist()) > path.stat().st_size:
@@ -234,23 +230,18 @@ def _what_came(path: Path) -> str:
             begin = file.read(2)
         if not zipfile.is_zipfile(path):
             # Pickles of protocol 2 and later begin like this.
-            pickled = begin[:1] == b"\x80"
-            return (
-                "it is damaged, or a pickle that is more than tensors and plain values"
-                if pickled or begin == b"PK"
-                else "it is no file of torch.save"
-            )
+            if begin[:1] == b"\x80" or begin == b"PK":
+                return "it is damaged, or a pickle that is more than tensors and plain values"
+            return "it is no file of torch.save"
         with zipfile.ZipFile(path) as archive:
             names = {name.rpartition("/")[2] for name in archive.namelist()}
             packed = any(entry.compress_type for entry in archive.infolist())
-        if "constants.pkl" in names:
-            return "it is a compiled program (TorchScript)"
-        if packed:
-            return "it is a packed archive, and torch.save packs nothing"
-        return (
-            "it is damaged, or names what no checkpoint needs"
-            if "data.pkl" in names
-            else "it is an archive of something else"
-        )
     except (OSError, zipfile.BadZipFile, ValueError, NotImplementedError):
         return "it is damaged"
+    if "constants.pkl" in names:
+        return "it is a compiled program (TorchScript)"
+    if packed:
+        return "it is a packed archive, and torch.save packs nothing"
+    if "data.pkl" in names:
+        return "it is damaged, or names what no checkpoint needs"
+    return "it is an archive of something else"

@@ -32,12 +32,16 @@ _WITHOUT_EPS = {
 }
 
 
+# Architecture, names of classes, positions of the vehicle classes, epsilon of the batch norm.
+_Plan = tuple[str | dict[str, Any], list[str], list[int], float | None]
+
+
 @dataclass(frozen=True)
 class Checkpoint:
     """A checkpoint file, and the facts needed to read it.
 
     Attributes:
-        path: `.pt` or `.pth` as `torch.save` writes it, or `.safetensors`; no code in it runs.
+        path: `.pt` or `.pth` of `torch.save`, or `.safetensors`; no code in it runs.
         kind: "torchvision" or "ultralytics".
         vehicle_classes: names of the vehicle classes for Ultralytics, label numbers for torchvision
             (COCO: 3 car, 6 bus, 8 truck).
@@ -109,7 +113,18 @@ def import_detector(
             f"{checkpoint.path} holds weights that are not finite ({broken[:100]}); give a "
             "checkpoint from before its training broke."
         )
-    blueprint = read(checkpoint, network, state, scale)
+    digest = _sha256(checkpoint.path)
+    architecture, classes, vehicles, eps = read(checkpoint, network, state, digest)
+    blueprint = Blueprint(
+        checkpoint.kind,
+        architecture,
+        classes,
+        vehicles,
+        scale,
+        eps,
+        checkpoint.path.name,
+        digest,
+    )
     try:
         detector = ImportedDetector(name, blueprint)
     except ConfigurationError as error:
@@ -135,8 +150,8 @@ def import_detector(
 
 
 def _torchvision(
-    checkpoint: Checkpoint, network: Any, state: dict[str, Tensor], scale: float
-) -> Blueprint:
+    checkpoint: Checkpoint, network: Any, state: dict[str, Tensor], digest: str
+) -> _Plan:
     if checkpoint.architecture is None:
         raise ConfigurationError(
             "a torchvision checkpoint does not say what it is; give --architecture."
@@ -148,59 +163,33 @@ def _torchvision(
         numbers = [int(word) for word in checkpoint.vehicle_classes]
     except ValueError:
         numbers = []
-    wrong = next((number for number in numbers if not first <= number < count), None)
-    if not numbers or wrong is not None:
+    if not numbers or not all(first <= number < count for number in numbers):
         raise ConfigurationError(
             f"--vehicle-classes expects label numbers from {first} to {count - 1} (torchvision "
             f"keeps no names), got {' '.join(checkpoint.vehicle_classes) or 'none'}."
         )
-    digest = _sha256(checkpoint.path)
     published = _WITHOUT_EPS.get(checkpoint.architecture)
     # torchvision's file names end with the first digits of their digest.
     same = published is not None and published.url.endswith(f"-{digest[:8]}.pth")
-    names = [str(number) for number in range(count)]
     eps = 0.0 if same else None
-    return Blueprint(
-        "torchvision",
-        checkpoint.architecture,
-        names,
-        numbers,
-        scale,
-        eps,
-        checkpoint.path.name,
-        digest,
-    )
+    return checkpoint.architecture, [str(number) for number in range(count)], numbers, eps
 
 
 def _ultralytics(
-    checkpoint: Checkpoint, network: Any, state: dict[str, Tensor], scale: float
-) -> Blueprint:
+    checkpoint: Checkpoint, network: Any, state: dict[str, Tensor], digest: str
+) -> _Plan:
     if checkpoint.architecture is not None:
         raise ConfigurationError(
             "an Ultralytics checkpoint holds its architecture; leave --architecture out."
         )
-    path = checkpoint.path
-    stored = read_ultralytics(path, network, state, checkpoint.vehicle_classes)
-    return Blueprint(
-        "ultralytics",
-        stored.architecture,
-        stored.classes,
-        stored.vehicle_classes,
-        scale,
-        None,
-        path.name,
-        _sha256(path),
-    )
+    return *read_ultralytics(checkpoint.path, network, state, checkpoint.vehicle_classes), None
 
 
 def _load(detector: ImportedDetector, state: dict[str, Tensor], checkpoint: Checkpoint) -> None:
-    # Ours wrap the network's model.
-    wanted = {
-        name.removeprefix("network.model."): tensor
-        for name, tensor in detector.state_dict().items()
-    }
+    model = detector.network.model
+    wanted = model.state_dict()
     try:
-        detector.network.model.load_state_dict(state)
+        model.load_state_dict(state)
     except RuntimeError as error:
         different = sorted(
             name
@@ -209,14 +198,14 @@ def _load(detector: ImportedDetector, state: dict[str, Tensor], checkpoint: Chec
             and (name not in wanted or name not in state or wanted[name].shape != state[name].shape)
         )
         what = checkpoint.architecture or "the architecture it names"
+        remedy = (
+            "give the --architecture they were trained as"
+            if checkpoint.architecture
+            else "save it unfused"
+        )
         raise ConfigurationError(
             f"The weights of {checkpoint.path} do not fit {what}: {len(different)} tensors differ, "
-            f"such as {different[0] if different else 'none by name'}; "
-            + (
-                "give the --architecture they were trained as."
-                if checkpoint.architecture
-                else "save it unfused."
-            )
+            f"such as {different[0] if different else 'none by name'}; {remedy}."
         ) from error
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,19 +23,10 @@ _ANCHOR_NETWORKS = tuple(
 _MOST_CLASSES = 5000
 
 
-@dataclass(frozen=True)
-class StoredNetwork:
-    """The plan in an Ultralytics checkpoint; see `Blueprint`."""
-
-    architecture: dict[str, Any]
-    classes: list[str]
-    vehicle_classes: list[int]
-
-
 def read_ultralytics(
     path: Path, network: Any, state: dict[str, Tensor], vehicle_classes: Sequence[str]
-) -> StoredNetwork:
-    """Reads architecture and classes of the network that `network_of` found.
+) -> tuple[dict[str, Any], list[str], list[int]]:
+    """Reads architecture, classes and vehicle classes of the network that `network_of` found.
 
     `state` loses the anchors of 2020, which become a part of the architecture. `path` is for
     messages.
@@ -68,7 +58,7 @@ def read_ultralytics(
         architecture = plain_architecture(plain)
     except ConfigurationError as error:
         raise ConfigurationError(f"{path} cannot be imported: {error}") from error
-    return StoredNetwork(architecture, classes, [classes.index(name) for name in vehicle_classes])
+    return architecture, classes, [classes.index(name) for name in vehicle_classes]
 
 
 def _class_names(path: Path, names: Any) -> list[str]:
@@ -89,11 +79,7 @@ def _with_anchors(
 ) -> dict[str, Any]:
     """Completes the architecture of a YOLOv5 of 2020 with the anchors that it was trained with.
 
-    They may differ from its YAML file, because its trainer replaces anchors that fit the boxes
-    badly.
-
-    Raises:
-        ConfigurationError: the network holds no anchors, or activations that its layers here lack.
+    They may differ from its YAML file, because its trainer replaces badly fitting anchors.
     """
     cells = next((state.pop(name) for name in list(state) if name.endswith(".anchors")), None)
     # Up to release 5.0, checkpoints store them a second time, in pixels.
@@ -130,8 +116,7 @@ def _with_pooling(network: StandIn, stored: Mapping[str, Any]) -> dict[str, Any]
     """Notes in the rows of pooling layers (SPPF) whether their first convolution is activated.
 
     Ultralytics 8.4.0 dropped the activation for YOLO26, whose rows give the number of poolings: at
-    first for all networks, later only for rows that give the number. Only the stored network tells
-    how it was trained.
+    first for all networks, later only for such rows. Only the stored network tells.
     """
     bare = {
         prefix.split(".")[1]
