@@ -14,9 +14,9 @@ from detector_images import bar_images
 
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.augmentation import jitter, turn
-from skyproof.detectors.build import DETECTOR_NAMES, build_detector
+from skyproof.detectors.build import build_detector
 from skyproof.detectors.loaded import load_detector
-from skyproof.detectors.settings import SIZES, TRAINING_PRESETS, TrainingSettings
+from skyproof.detectors.settings import DETECTOR_NAMES, SIZES, TRAINING_PRESETS, TrainingSettings
 from skyproof.detectors.training import train
 from skyproof.detectors.weights import weights_digest
 from skyproof.errors import (

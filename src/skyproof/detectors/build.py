@@ -5,9 +5,8 @@ from __future__ import annotations
 import torch
 
 from skyproof.detectors.detector import TrainableDetector
+from skyproof.detectors.settings import DETECTOR_NAMES
 from skyproof.errors import ConfigurationError
-
-DETECTOR_NAMES = ("retinanet", "faster_rcnn", "yolov5", "yolov5_anchors")
 
 
 def build_detector(name: str, size: str, *, generator: torch.Generator) -> TrainableDetector:

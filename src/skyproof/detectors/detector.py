@@ -118,11 +118,7 @@ class TrainableDetector(nn.Module, Detector):
 
 
 def _suppress(candidates: Candidates, height_px: int, width_px: int) -> list[Detections]:
-    """Turns candidates into detections on images of a size before padding.
-
-    Candidates with a score >= 0.01 are clipped to the image; duplicates among the best 1000 are
-    suppressed at an IoU of 0.5; at most 100 remain, sorted by falling score.
-    """
+    """Clips candidates to the image, and keeps at most 100 that do not overlap, best first."""
     found = []
     for boxes, scores, valid in zip(
         candidates.boxes, candidates.scores, candidates.valid, strict=True

@@ -12,11 +12,11 @@ import torch
 
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.answers import Answering, BlackBoxDetector
-from skyproof.detectors.build import DETECTOR_NAMES, build_detector
+from skyproof.detectors.build import build_detector
 from skyproof.detectors.card import DetectorCard, read_card, write_card
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.reference_detectors import detector_folder, reinstalled
-from skyproof.detectors.settings import SIZES
+from skyproof.detectors.settings import DETECTOR_NAMES, SIZES
 from skyproof.detectors.threshold import frozen_card
 from skyproof.detectors.weights import plain_state
 from skyproof.errors import ConfigurationError, StoredFileError

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 import torch
@@ -27,8 +27,7 @@ MATCH_IOU = 0.5
 _PART = 512
 
 
-@dataclass(frozen=True)
-class Matches:
+class Matches(NamedTuple):
     """The pairing of one image's detections with its vehicles.
 
     Attributes:

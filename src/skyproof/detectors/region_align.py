@@ -84,11 +84,7 @@ class CentreAlign(ops.MultiScaleRoIAlign):
 def _neighbours(
     places: Float[Tensor, "K S"], lengths: Int[Tensor, " K"]
 ) -> tuple[Int[Tensor, "K S 2"], Float[Tensor, "K S 2"]]:
-    """Gives the two pixels around each place along an axis, and their weights.
-
-    As in torchvision, the first pixel beyond the border takes the border's value, and anything
-    further out is zero.
-    """
+    """The two pixels around each place along an axis, and their weights; 0 beyond the border."""
     last = (lengths - 1)[:, None]
     inside = (places >= -1) & (places <= lengths[:, None])
     low = places.clamp(min=0).floor().long().minimum(last)

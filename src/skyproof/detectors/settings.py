@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict, get_args, get_type_hints
 
@@ -16,6 +15,7 @@ from skyproof.ranges import Count, Fraction, check_ranges
 # Sizes of our own networks, for CPU and GPU.
 Size = Literal["slim", "full"]
 SIZES: tuple[Size, ...] = get_args(Size)
+DETECTOR_NAMES = ("retinanet", "faster_rcnn", "yolov5", "yolov5_anchors")
 
 
 def check_size(size: str) -> None:
@@ -89,33 +89,20 @@ _GPU = TrainingSettings(
 
 
 TRAINING_PRESETS: dict[tuple[str, str], TrainingSettings] = {
-    # Focal loss starts slowly: it needs 800 steps for the result of the others after 600.
-    ("retinanet", "slim"): replace(_CPU, steps=800),
-    ("faster_rcnn", "slim"): _CPU,
-    ("yolov5", "slim"): _CPU,
-    ("yolov5_anchors", "slim"): _CPU,
-    ("retinanet", "full"): _GPU,
-    ("faster_rcnn", "full"): _GPU,
-    ("yolov5", "full"): _GPU,
-    ("yolov5_anchors", "full"): _GPU,
+    (name, size): settings
+    for size, settings in (("slim", _CPU), ("full", _GPU))
+    for name in DETECTOR_NAMES
 }
+# Focal loss starts slowly: it needs 800 steps for the result of the others after 600.
+TRAINING_PRESETS["retinanet", "slim"] = replace(_CPU, steps=800)
 
 
 def _usual(name: str) -> str:
     """Describes a setting's value if the user gives none."""
-    told = []
-    for size in ("slim", "full"):
-        found = {
-            detector: getattr(preset, name)
-            for (detector, each), preset in TRAINING_PRESETS.items()
-            if each == size
-        }
-        common = Counter(found.values()).most_common(1)[0][0]
-        others = [f"{one} {value:g}" for one, value in found.items() if value != common]
-        told.append((size, f"{common:g}" + (f" ({', '.join(others)})" if others else "")))
-    if told[0][1] == told[1][1]:
-        return f"usually {told[0][1]}"
-    return ", ".join(f"{size} {value}" for size, value in told)
+    slim, full = (f"{getattr(preset, name):g}" for preset in (_CPU, _GPU))
+    own = f"{getattr(TRAINING_PRESETS['retinanet', 'slim'], name):g}"
+    told = slim if own == slim else f"{slim} (retinanet {own})"
+    return f"usually {slim}" if told == full else f"slim {told}, full {full}"
 
 
 if not TYPE_CHECKING:

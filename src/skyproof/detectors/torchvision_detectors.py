@@ -221,12 +221,7 @@ class FasterRcnnDetector(TorchvisionDetector):
     def _proposal_outputs(
         self, named: dict[str, Tensor], image_list: ImageList
     ) -> tuple[Tensor, Tensor, Tensor, list[Tensor]]:
-        """Runs the proposal network.
-
-        Returns:
-            Objectness `[B, A]`, box deltas `[B, A, 4]`, the anchors `[A, 4]` that all images share,
-                and the proposals of each image.
-        """
+        """Objectness `[B, A]`, deltas `[B, A, 4]`, anchors `[A, 4]`, and each image's proposals."""
         network = self.model.rpn
         features = list(named.values())
         per_level = network.head(features)
@@ -291,12 +286,7 @@ class FasterRcnnDetector(TorchvisionDetector):
 
 
 def _cost_of_the_sure(objectness: Tensor, logits: Tensor) -> Tensor:
-    """The loss with an empty truth, whose anchors and regions are all surely background.
-
-    It is the same sum of cross-entropies, in a form that stays exact, and so above 0, for scores
-    near 0; for scores near 1 torch's own form is as good. Column 0 of the regions' logits is the
-    background.
-    """
+    """The loss with an empty truth in a form that stays exact, so above 0, for scores near 0."""
     cost = functional.softplus(objectness).sum() / EMPTY_PROPOSAL_DIVISOR
     if len(logits):
         doubt = logits[:, 1:].logsumexp(dim=1) - logits[:, 0]

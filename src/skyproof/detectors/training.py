@@ -176,8 +176,6 @@ class _Best:
         self.weights: dict[str, Tensor] = {}
 
     def keep(self, detector: nn.Module, scores: dict[str, float], step: int) -> None:
-        """Keeps these weights unless the earlier ones score higher."""
-
         # Centre AP is compared to 0.01 points; F1 decides between equals.
         def rank(values: dict[str, float]) -> tuple[float, float]:
             return round(values["ap_centre_1m"], 4), values["f1"]
