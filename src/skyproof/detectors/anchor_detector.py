@@ -12,7 +12,6 @@ from torch import Tensor
 from skyproof.detectors.anchor_head import AnchorAnswers, AnchorHead, anchor_loss
 from skyproof.detectors.common import check_images, check_targets, pad_to_stride
 from skyproof.detectors.detector import Candidates, TrainableDetector
-from skyproof.detectors.features import pool_finest
 from skyproof.detectors.ultralytics_detectors import build_model, yolov5_architecture
 
 # Anchors of release 7.0 for three levels, chosen on COCO. Six of the nine match a vehicle of 4 m at
@@ -79,11 +78,10 @@ class AnchorDetector(TrainableDetector):
         return Candidates(boxes, scores, torch.ones_like(scores, dtype=torch.bool))
 
     @torch.no_grad()
-    def features(
-        self, images: Float[Tensor, "B 3 H W"], boxes: Sequence[Float[Tensor, "_ 4"]]
-    ) -> list[Float[Tensor, "_ C"]]:
-        """See `FeatureDetector.features`; the features are the inputs of the head."""
-        return pool_finest(self._answers(images).features[0], self._head.strides_px[0], boxes)
+    def pyramid(self, images: Float[Tensor, "B 3 H W"]) -> tuple[list[Tensor], int]:
+        """See `TrainableDetector.pyramid`; the features are the inputs of the head."""
+        levels = self._answers(images).features
+        return levels, round(levels[0].shape[-1] * self._head.strides_px[0])
 
     @property
     def _head(self) -> AnchorHead:

@@ -111,6 +111,10 @@ class TrainableDetector(nn.Module, Detector):
         """Boxes and scores before threshold and suppression, differentiable in `images`."""
         raise NotImplementedError
 
+    def pyramid(self, images: Float[Tensor, "B 3 H W"]) -> tuple[list[Tensor], int]:
+        """The features before any head, the finest level first, and the padded images' width."""
+        raise NotImplementedError
+
     @torch.no_grad()
     def detect(self, images: Float[Tensor, "B 3 H W"]) -> list[Detections]:
         """See `Detector.detect`."""

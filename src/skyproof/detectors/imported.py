@@ -66,29 +66,25 @@ class ImportedDetector(TrainableDetector):
     def candidates(self, images: Float[Tensor, "B 3 H W"]) -> Candidates:
         """See `TrainableDetector.candidates`; boxes in pixels of `images`."""
         found = self.network.candidates(self._scaled(images))
-        height, width = self._size_px(images)
+        height, width = self.size_px(images)
         ratio = found.boxes.new_tensor(
             [images.shape[-1] / width, images.shape[-2] / height]
         ).repeat(2)
         return Candidates(found.boxes * ratio, found.scores, found.valid)
 
-    def features(
-        self, images: Float[Tensor, "B 3 H W"], boxes: Sequence[Float[Tensor, "_ 4"]]
-    ) -> list[Float[Tensor, "_ C"]]:
-        """See `FeatureDetector.features`; boxes in pixels of `images`."""
-        height, width = self._size_px(images)
-        ratio = images.new_tensor([width / images.shape[-1], height / images.shape[-2]]).repeat(2)
-        scaled = [own.to(images) * ratio for own in boxes]
-        return self.network.features(self._scaled(images), scaled)
+    def pyramid(self, images: Float[Tensor, "B 3 H W"]) -> tuple[list[Tensor], int]:
+        """See `TrainableDetector.pyramid`; of images at the network's resolution."""
+        return self.network.pyramid(self._scaled(images))
 
-    def _size_px(self, images: Tensor) -> tuple[int, int]:
+    def size_px(self, images: Tensor) -> tuple[int, int]:
+        """Height and width of images at the network's resolution."""
         return max(1, round(images.shape[-2] * self.image_scale)), max(
             1, round(images.shape[-1] * self.image_scale)
         )
 
     def _scaled(self, images: Tensor) -> Tensor:
         check_images(images)
-        height, width = self._size_px(images)
+        height, width = self.size_px(images)
         if (height, width) != tuple(images.shape[-2:]):
             images = functional.interpolate(
                 images, size=(height, width), mode="bilinear", align_corners=False, antialias=True

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import torch
@@ -10,7 +11,9 @@ from torch import Tensor
 from torch.nn import functional
 from torchvision import ops
 
-from skyproof.detectors.features import area_levels
+# Lin et al. 2017, equation 1: a box of 224 px belongs to the level of stride 16.
+_CANONICAL_SIDE_PX = 224
+_CANONICAL_STRIDE_PX = 16
 
 
 class CentreAlign(ops.MultiScaleRoIAlign):
@@ -54,7 +57,7 @@ class CentreAlign(ops.MultiScaleRoIAlign):
         """Gives the four rows around every sample, and their weights."""
         side, _ = self.output_size
         regions = torch.cat(list(boxes))
-        levels = area_levels(self.strides_px)(regions)
+        levels = area_levels(regions, self.strides_px)
         device = regions.device
         counts = torch.tensor([len(own) for own in boxes], device=device)
         images = torch.arange(len(boxes), device=device).repeat_interleave(counts)
@@ -79,6 +82,18 @@ class CentreAlign(ops.MultiScaleRoIAlign):
         places = places + columns[:, None, :, None, :] + first_rows[:, None, None, None, None]
         shares = line_shares[:, :, None, :, None] * column_shares[:, None, :, None, :]
         return places.view(-1, 4), shares.view(-1, 4)
+
+
+def area_levels(boxes: Float[Tensor, "K 4"], strides_px: Sequence[float]) -> Int[Tensor, " K"]:
+    """Chooses pyramid levels by the square root of a box's area, as Faster R-CNN does.
+
+    The stride of each level is twice the one before.
+    """
+    sides = (boxes[:, 2:] - boxes[:, :2]).clamp(min=1).prod(dim=1).sqrt()
+    # The small number is torchvision's, for boxes on a limit.
+    wanted = (sides / _CANONICAL_SIDE_PX).log2() + math.log2(_CANONICAL_STRIDE_PX) + 1e-6
+    first = math.log2(strides_px[0])
+    return (wanted.floor() - first).clamp(0, len(strides_px) - 1).long()
 
 
 def _neighbours(

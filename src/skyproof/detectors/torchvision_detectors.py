@@ -32,7 +32,6 @@ from skyproof.detectors.common import (
     pad_to_stride,
 )
 from skyproof.detectors.detector import Candidates, TrainableDetector
-from skyproof.detectors.features import Levels, anchor_levels, area_levels, pool_boxes
 from skyproof.detectors.region_align import CentreAlign
 from skyproof.detectors.settings import check_size
 from skyproof.detectors.slim import PYRAMID_CHANNELS, REGION_CHANNELS, SlimBackbone
@@ -78,18 +77,10 @@ class TorchvisionDetector(TrainableDetector):
         return (images - 0.45) / 0.25
 
     @torch.no_grad()
-    def features(
-        self, images: Float[Tensor, "B 3 H W"], boxes: Sequence[Float[Tensor, "_ 4"]]
-    ) -> list[Float[Tensor, "_ C"]]:
-        """See `FeatureDetector.features`."""
+    def pyramid(self, images: Float[Tensor, "B 3 H W"]) -> tuple[list[Tensor], int]:
+        """See `TrainableDetector.pyramid`."""
         named, image_list = self._features(images)
-        pyramid = list(named.values())
-        width_px = image_list.tensors.shape[-1]
-        strides_px = [width_px / level.shape[-1] for level in pyramid]
-        return pool_boxes(pyramid, width_px, boxes, self._levels(strides_px))
-
-    def _levels(self, strides_px: Sequence[float]) -> Levels:
-        return area_levels(strides_px)
+        return list(named.values()), image_list.tensors.shape[-1]
 
 
 class RetinaNetDetector(TorchvisionDetector):
@@ -139,9 +130,6 @@ class RetinaNetDetector(TorchvisionDetector):
         )
         scores = outputs["cls_logits"].amax(dim=-1).sigmoid()
         return Candidates(boxes.view_as(deltas), scores, torch.ones_like(scores, dtype=torch.bool))
-
-    def _levels(self, strides_px: Sequence[float]) -> Levels:
-        return anchor_levels(self.model.anchor_generator.cell_anchors)
 
     def _outputs(self, images: Tensor) -> tuple[dict[str, Tensor], Tensor]:
         named, image_list = self._features(images)

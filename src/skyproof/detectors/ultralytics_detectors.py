@@ -29,7 +29,6 @@ from torch.nn import functional
 from skyproof.detectors.blueprint import HEADS, check_layers
 from skyproof.detectors.common import check_images, check_targets, pad_to_stride
 from skyproof.detectors.detector import Candidates, TrainableDetector
-from skyproof.detectors.features import pool_finest
 from skyproof.detectors.settings import check_size
 from skyproof.errors import ConfigurationError
 
@@ -78,12 +77,10 @@ class YoloDetector(TrainableDetector):
         return Candidates(boxes * strides, scores, torch.ones_like(scores, dtype=torch.bool))
 
     @torch.no_grad()
-    def features(
-        self, images: Float[Tensor, "B 3 H W"], boxes: Sequence[Float[Tensor, "_ 4"]]
-    ) -> list[Float[Tensor, "_ C"]]:
-        """See `FeatureDetector.features`; the features are the inputs of the head."""
-        finest = self._outputs(images)["feats"][0]
-        return pool_finest(finest, float(self.model.stride.min()), boxes)
+    def pyramid(self, images: Float[Tensor, "B 3 H W"]) -> tuple[list[Tensor], int]:
+        """See `TrainableDetector.pyramid`; the features are the inputs of the head."""
+        levels = self._outputs(images)["feats"]
+        return levels, round(levels[0].shape[-1] * float(self.model.stride.min()))
 
     def _outputs(self, images: Tensor) -> dict[str, Any]:
         """The raw head, the same in both modes: boxes `[B, _, A]`, scores `[B, _, A]`, features."""

@@ -12,11 +12,11 @@ from torch import Tensor
 from torchvision import ops
 
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.detector import Detector
-from skyproof.detectors.features import FeatureDetector
+from skyproof.detectors.detector import Detector, TrainableDetector
 from skyproof.detectors.inference import LARGEST_WHOLE_PX, to_detector
 from skyproof.errors import ConfigurationError
 from skyproof.randomness import generator_of
+from skyproof.reproduction.box_features import box_features
 from skyproof.reproduction.stored_features import GROUND, Features
 from skyproof.results.pairs.outcomes import ORIGINAL
 
@@ -76,20 +76,20 @@ def gather_features(
     return [
         _features(detector.name, detector, shown, dataset, places)
         for detector in detectors
-        if isinstance(detector, FeatureDetector)
+        if isinstance(detector, TrainableDetector)
         for shown, dataset, places in looks
     ]
 
 
 def _features(
-    name: str, detector: FeatureDetector, shown: str, dataset: Dataset, places: _Boxes
+    name: str, detector: TrainableDetector, shown: str, dataset: Dataset, places: _Boxes
 ) -> Features:
     vectors: list[Tensor] = []
     count = len(places.boxes)
     for start in range(0, count, _BATCH_SIZE):
         batch = range(start, min(start + _BATCH_SIZE, count))
         images = to_detector(detector, torch.stack(dataset.images(batch)))
-        vectors += detector.features(images, places.boxes[batch.start : batch.stop])
+        vectors += box_features(detector, images, places.boxes[batch.start : batch.stop])
     rows = [
         (dataset.scenes[index], placement)
         for index, own in enumerate(places.placements)

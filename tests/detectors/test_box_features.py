@@ -11,16 +11,11 @@ from test_imported import ONE_OF_EACH, PLAN, yolo_plan
 from torch import Tensor
 from torchvision.ops.poolers import LevelMapper
 
-from skyproof.detectors.answers import BlackBoxDetector
 from skyproof.detectors.build import build_detector
 from skyproof.detectors.detector import TrainableDetector
-from skyproof.detectors.features import (
-    FeatureDetector,
-    anchor_levels,
-    area_levels,
-    pool_boxes,
-)
 from skyproof.detectors.imported import ImportedDetector
+from skyproof.detectors.region_align import area_levels
+from skyproof.reproduction.box_features import anchor_levels, box_features, pool_boxes
 
 # One box of 36x16 px in the first image, none in the second, two in the third.
 BOXES = [
@@ -56,7 +51,7 @@ def test_levels_by_area_are_those_of_torchvisions_regions() -> None:
     sides = torch.tensor([4.0, 24.0, 55.0, 56.0, 111.0, 112.0, 223.0, 224.0, 447.0, 448.0, 2000.0])
     boxes = torch.stack([sides * 0, sides * 0, sides * 2, sides / 2], dim=1)
     theirs = LevelMapper(2, 5)([boxes])
-    assert area_levels([4.0, 8.0, 16.0, 32.0])(boxes).tolist() == theirs.tolist()
+    assert area_levels(boxes, [4.0, 8.0, 16.0, 32.0]).tolist() == theirs.tolist()
     assert theirs.tolist() == [0, 0, 0, 0, 0, 1, 1, 2, 2, 3, 3]
 
 
@@ -73,8 +68,7 @@ def test_levels_by_anchor_are_those_of_the_most_alike() -> None:
 def check_features(detector: TrainableDetector) -> None:
     """Boxes are looked at where they are: what changes elsewhere hardly matters."""
     images = torch.rand(3, 3, 96, 128, generator=torch.Generator().manual_seed(3))
-    assert isinstance(detector, FeatureDetector)
-    before = detector.features(images, BOXES)
+    before = box_features(detector, images, BOXES)
     assert [len(own) for own in before] == [1, 0, 2]
     channels = before[0].shape[1]
     assert channels >= 16
@@ -83,7 +77,7 @@ def check_features(detector: TrainableDetector) -> None:
     assert not torch.allclose(before[0][0], before[2][1])
     # Only the third image is changed, at its first box alone.
     images[2, :, 40:56, 40:76] = 1.0
-    after = detector.features(images, BOXES)
+    after = box_features(detector, images, BOXES)
     assert torch.allclose(before[0], after[0], atol=1e-4)
     changed = (after[2] - before[2]).norm(dim=1)
     assert changed[0] > 1.5 * changed[1]
@@ -103,13 +97,3 @@ def test_imported_at_another_resolution(architecture: str) -> None:
         else replace(PLAN, architecture=architecture)
     )
     check_features(ImportedDetector("mine", replace(plan, image_scale=2.0)).eval())
-
-
-def test_a_black_box_shows_no_features() -> None:
-    class BlackBox:
-        name = "mine"
-
-        def detect(self, images: Tensor) -> list[Tensor]:
-            return []
-
-    assert not isinstance(BlackBoxDetector(BlackBox()), FeatureDetector)

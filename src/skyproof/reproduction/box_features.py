@@ -2,37 +2,49 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
-from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 from torchvision import ops
 
+from skyproof.detectors.detector import TrainableDetector
+from skyproof.detectors.imported import ImportedDetector
+from skyproof.detectors.region_align import area_levels
+from skyproof.detectors.torchvision_detectors import RetinaNetDetector, TorchvisionDetector
+
 # A vehicle of 36 px spans 4.5 cells of stride 8: one sample in each.
 _SAMPLES = 4
-# Lin et al. 2017, equation 1: a box of 224 px belongs to the level of stride 16.
-_CANONICAL_SIDE_PX = 224
-_CANONICAL_STRIDE_PX = 16
 
 Levels = Callable[[Float[Tensor, "K 4"]], Int[Tensor, " K"]]
 """Gives the pyramid level, from 0, of each box, pixel xyxy."""
 
 
-@runtime_checkable
-class FeatureDetector(Protocol):
-    """A detector that gives its pyramid features; a black box with `detect` alone does not."""
+@torch.no_grad()
+def box_features(
+    detector: TrainableDetector,
+    images: Float[Tensor, "B 3 H W"],
+    boxes: Sequence[Float[Tensor, "_ 4"]],
+) -> list[Float[Tensor, "_ C"]]:
+    """Gives one vector per box, the mean over the box, at the pyramid level of the box.
 
-    def features(
-        self, images: Float[Tensor, "B 3 H W"], boxes: Sequence[Float[Tensor, "_ 4"]]
-    ) -> list[Float[Tensor, "_ C"]]:
-        """Gives one vector per box, the mean over the box, at the pyramid level of the box.
-
-        Images are sRGB in [0, 1], boxes pixel xyxy. The detector assigns the level.
-        """
-        ...
+    Images are sRGB in [0, 1], boxes pixel xyxy. In a YOLO the size of a vehicle alone does not
+    decide its level, and levels differ in channels, so the finest level counts.
+    """
+    if isinstance(detector, ImportedDetector):
+        height, width = detector.size_px(images)
+        ratio = images.new_tensor([width / images.shape[-1], height / images.shape[-2]]).repeat(2)
+        boxes = [own.to(images) * ratio for own in boxes]
+    levels, width_px = detector.pyramid(images)
+    network = detector.network if isinstance(detector, ImportedDetector) else detector
+    if isinstance(network, RetinaNetDetector):
+        anchors = network.model.anchor_generator.cell_anchors
+        return pool_boxes(levels, width_px, boxes, anchor_levels(anchors))
+    if isinstance(network, TorchvisionDetector):
+        strides_px = [width_px / level.shape[-1] for level in levels]
+        return pool_boxes(levels, width_px, boxes, lambda own: area_levels(own, strides_px))
+    return pool_boxes(levels[:1], width_px, boxes, lambda own: own[:, 0].long() * 0)
 
 
 def pool_boxes(
@@ -62,22 +74,6 @@ def pool_boxes(
     return list(pooled.split([len(own) for own in boxes]))
 
 
-def area_levels(strides_px: Sequence[float]) -> Levels:
-    """Chooses levels by the square root of a box's area, as Faster R-CNN does for its regions.
-
-    The stride of each level is twice the one before.
-    """
-
-    def level_of(boxes: Tensor) -> Tensor:
-        sides = (boxes[:, 2:] - boxes[:, :2]).clamp(min=1).prod(dim=1).sqrt()
-        # The small number is torchvision's, for boxes on a limit.
-        wanted = (sides / _CANONICAL_SIDE_PX).log2() + math.log2(_CANONICAL_STRIDE_PX) + 1e-6
-        first = math.log2(strides_px[0])
-        return (wanted.floor() - first).clamp(0, len(strides_px) - 1).long()
-
-    return level_of
-
-
 def anchor_levels(anchors: Sequence[Float[Tensor, "_ 4"]]) -> Levels:
     """Chooses the level whose anchor is most like a box, as RetinaNet's matcher does.
 
@@ -91,18 +87,3 @@ def anchor_levels(anchors: Sequence[Float[Tensor, "_ 4"]]) -> Levels:
         return torch.stack(overlaps).argmax(dim=0)
 
     return level_of
-
-
-def pool_finest(
-    finest: Float[Tensor, "B C _ _"], stride_px: float, boxes: Sequence[Float[Tensor, "_ 4"]]
-) -> list[Float[Tensor, "_ C"]]:
-    """Averages the finest level of a YOLO's pyramid over each box (pixel xyxy).
-
-    In a YOLO the size of a vehicle alone does not decide its level, and levels differ in channels.
-    The finest one has points on every vehicle.
-    """
-
-    def level_of(places: Tensor) -> Tensor:
-        return torch.zeros(len(places), dtype=torch.int64, device=places.device)
-
-    return pool_boxes([finest], round(finest.shape[-1] * stride_px), boxes, level_of)
