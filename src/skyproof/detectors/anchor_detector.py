@@ -1,7 +1,5 @@
 """The YOLOv5 of 2020, with anchors and objectness: trained here or imported."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -3,8 +3,6 @@
 Source: the formulas of github.com/ultralytics/yolov5, release 7.0; its code is not used.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

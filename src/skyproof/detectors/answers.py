@@ -3,8 +3,6 @@
 It may ask a library, a program or a server; it may fail, or answer in other coordinates.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 

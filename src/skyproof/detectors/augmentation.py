@@ -1,7 +1,5 @@
 """Training augmentation: exact flips and quarter turns, and mild photometric jitter."""
 
-from __future__ import annotations
-
 import math
 
 import torch

@@ -1,7 +1,5 @@
 """Precision and recall over a set of images, average precision, and thresholds by F1."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The images of one training step: order, windows of large images, masking, augmentation."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

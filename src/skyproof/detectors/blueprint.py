@@ -5,8 +5,6 @@ every number in it is bounded. `ultralytics_detectors` checks the memory of a ne
 building it.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass

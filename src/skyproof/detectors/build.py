@@ -1,7 +1,5 @@
 """Untrained detectors by name and size."""
 
-from __future__ import annotations
-
 import torch
 
 from skyproof.detectors.detector import TrainableDetector

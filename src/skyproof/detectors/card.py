@@ -1,7 +1,5 @@
 """The description of a detector in its folder, `detector.json`. Imports no torch."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import PackageNotFoundError, version

@@ -6,8 +6,6 @@ names, except tensors and plain containers, and the rest is read as data: nothin
 and its author's libraries are not needed.
 """
 
-from __future__ import annotations
-
 import zipfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -34,7 +32,7 @@ class StandIn:
 
     origin: str = ""
 
-    def __new__(cls, *arguments: Any, **named: Any) -> StandIn:
+    def __new__(cls, *arguments: Any, **named: Any) -> "StandIn":
         return object.__new__(cls)
 
     def __init__(self, *arguments: Any, **named: Any) -> None:

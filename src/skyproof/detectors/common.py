@@ -1,7 +1,5 @@
 """Shared parts of all detectors: checks of their input, padding to a stride, and targets."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import torch

@@ -1,7 +1,5 @@
 """Turns a checkpoint into a detector folder: weights, vehicle classes, frozen threshold."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """An imported detector at its own resolution, ready to be evaluated and attacked."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import torch

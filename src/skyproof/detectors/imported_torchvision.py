@@ -1,7 +1,5 @@
 """torchvision's detectors with imported weights, and with classes that are no vehicles."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import torch

@@ -1,7 +1,5 @@
 """Runs detectors over many images, and over large images window by window."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
 

@@ -1,7 +1,5 @@
 """Detectors as folders: `weights.safetensors` and `detector.json` (no pickle)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

@@ -4,8 +4,6 @@ A set of images is matched once for each rule; average precision, recall, false 
 are all read from that one table.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, get_args

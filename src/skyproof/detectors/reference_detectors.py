@@ -3,8 +3,6 @@
 `reference/README.md`, beside their folders, tells how they were made. Imports no torch.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path

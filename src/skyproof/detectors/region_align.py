@@ -1,7 +1,5 @@
 """Pyramid features of regions: a fast RoIAlign with one sample in each bin."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Training settings of detectors. Imports no torch, so that the command line answers at once."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict, get_args, get_type_hints

@@ -1,7 +1,5 @@
 """The backbone of the slim detectors, small enough to train from scratch on a CPU."""
 
-from __future__ import annotations
-
 from collections import OrderedDict
 
 from jaxtyping import Float

@@ -1,7 +1,5 @@
 """Reads the plan of an Ultralytics network from the network that its checkpoint stores."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path

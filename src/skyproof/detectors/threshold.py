@@ -1,7 +1,5 @@
 """Validation of a detector on labelled images, and the threshold that it freezes."""
 
-from __future__ import annotations
-
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.average_precision import (
     average_precision,

@@ -1,7 +1,5 @@
 """RetinaNet and Faster R-CNN of torchvision, with losses per image over all negatives."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from functools import partial

@@ -1,7 +1,5 @@
 """Trains a detector from scratch, in a loop that survives a kill (section S1.1)."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable

@@ -9,8 +9,6 @@ anchor-free head and the task-aligned loss of YOLOv8. The YOLOv5 of 2020 with an
 (`anchor_detector`), on the backbone and neck that this file builds.
 """
 
-from __future__ import annotations
-
 import copy
 import logging
 import os

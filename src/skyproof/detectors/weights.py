@@ -1,7 +1,5 @@
 """The numbers of a network, as plain tensors and as one digest."""
 
-from __future__ import annotations
-
 from torch import Tensor, nn
 
 from skyproof.storage import tensors_digest

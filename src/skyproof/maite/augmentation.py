@@ -1,7 +1,5 @@
 """A camouflage as a MAITE augmentation: our scenes are rendered again with it."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -3,8 +3,6 @@
 This is the one file that imports checkmaite, and nothing of skyproof imports this file.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import maite.protocols.object_detection as od

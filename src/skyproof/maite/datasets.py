@@ -1,7 +1,5 @@
 """Our datasets as MAITE datasets; pixels are decoded on demand."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

@@ -1,7 +1,5 @@
 """Matched statistics as a MAITE metric: the vehicles that a change of the images hides."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any

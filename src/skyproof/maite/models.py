@@ -1,7 +1,5 @@
 """Detectors both ways: ours as MAITE models, and MAITE models as our detectors."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 from collections.abc import Mapping, Sequence

@@ -3,8 +3,6 @@
 MAITE's protocols are structural, so nothing here imports the library.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -39,7 +37,7 @@ class Target:
     scores: Float[np.ndarray, " N"]
 
     @classmethod
-    def of(cls, boxes: Float[Tensor, "N 4"], scores: Float[Tensor, " N"] | None = None) -> Target:
+    def of(cls, boxes: Float[Tensor, "N 4"], scores: Float[Tensor, " N"] | None = None) -> "Target":
         """Makes a target of vehicles; without scores they are true ones."""
         return cls(
             boxes=boxes.detach().cpu().numpy().astype(np.float32),

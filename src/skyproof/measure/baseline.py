@@ -1,7 +1,5 @@
 """Baselines: detectors on images without camouflage, photographs above all."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
 

@@ -1,7 +1,5 @@
 """Annotated frames of cameras, named on the command line."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass

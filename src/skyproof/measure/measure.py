@@ -1,7 +1,5 @@
 """The one way to measure: every vehicle without and with each change, before every detector."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a score folder keeps of how camouflages look, and of what it takes to make them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

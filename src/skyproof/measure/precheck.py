@@ -1,7 +1,5 @@
 """The precheck: is a detector worth attacking? Changes without optimisation answer that."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any

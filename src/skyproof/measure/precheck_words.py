@@ -1,7 +1,5 @@
 """What `skyproof precheck` prints of one detector."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from textwrap import wrap
 

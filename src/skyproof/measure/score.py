@@ -1,7 +1,5 @@
 """Score folders: every camouflage measured, with all that a report needs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Scenes as they are and under changes, rendered and shown to detectors batch by batch."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
