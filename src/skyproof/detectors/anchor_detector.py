@@ -96,9 +96,5 @@ class AnchorDetector(TrainableDetector):
 
 
 def trainable_architecture(size: str) -> dict[str, Any]:
-    """Gives the one-class architecture of a size: YOLOv5n ("slim") to YOLOv5s ("full").
-
-    Raises:
-        ConfigurationError: as `yolov5_architecture`.
-    """
+    """The one-class architecture of a size: YOLOv5n ("slim") to YOLOv5s ("full")."""
     return {**yolov5_architecture(size), "nc": 1, "anchors": [list(row) for row in _ANCHORS_PX]}

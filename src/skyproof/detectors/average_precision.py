@@ -1,6 +1,6 @@
 """Precision and recall over a set of images, average precision, and thresholds by F1."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -16,16 +16,8 @@ _LEVELS = torch.linspace(0, 1, 101, dtype=torch.float64).numpy()
 """Made by torch, not NumPy: at a recall of exactly 0.6 the last bit decides."""
 
 
-@dataclass(frozen=True)
-class PrecisionRecall:
-    """Precision and recall if every detection down to each score counts.
-
-    Attributes:
-        scores: `[K]` falling; without detections in ignore regions.
-        precision: `[K]`, 0 to 1.
-        recall: `[K]`, 0 to 1.
-        vehicles: number of true vehicles in all images.
-    """
+class PrecisionRecall(NamedTuple):
+    """Precision and recall if every detection down to each falling score counts."""
 
     scores: Float[np.ndarray, " K"]
     precision: Float[np.ndarray, " K"]
@@ -36,10 +28,7 @@ class PrecisionRecall:
 def precision_recall(
     matches: MatchTable, image_weights: Int[np.ndarray, " images"] | None = None
 ) -> PrecisionRecall:
-    """The precision-recall curve of one matched set of images.
-
-    `image_weights` says how often each image counts, as in a bootstrap replicate; None is once.
-    """
+    """The curve of a matched set; `image_weights` says how often each image counts (once)."""
     if image_weights is None:
         image_weights = np.ones(matches.images, dtype=np.int64)
     occurrences = image_weights[matches.image_of_detection]
@@ -74,14 +63,10 @@ def average_precision(
 
 
 def best_f1_threshold(curve: PrecisionRecall) -> tuple[float, float]:
-    """The score threshold with the largest F1, and that F1.
+    """The score threshold with the largest F1, and that F1; (1.0, 0.0) if no vehicle was found.
 
     Detections of equal score count together. The threshold lies midway to the next lower score, so
-    that rounding on another machine moves no detection across it; `score >= threshold` counts as
-    detected.
-
-    Returns:
-        (threshold, f1); (1.0, 0.0) if no vehicle was found.
+    that rounding on another machine moves no detection across it.
     """
     return _lowest_within(curve, 0.0)
 
@@ -91,9 +76,8 @@ def frozen_threshold(curve: PrecisionRecall) -> tuple[float, float]:
 
     If a detector finds nearly all of its validation vehicles, its F1 is flat over a wide range of
     scores, and chance decides the peak: one vehicle more or less of 479 moved it from 0.79 to 0.95.
-    The high end of that range looks as good on the renders it was chosen on, but misses vehicles
-    everywhere else: it found 71 % instead of 87 % on photographs (docs/results/detectors). One
-    point is about twice the standard error of F1 on as many vehicles.
+    The high end of that range found 71 % instead of 87 % on photographs (docs/results/detectors).
+    One point is about twice the standard error of F1 on as many vehicles.
 
     Difference from the paper: the paper does not tell how it chose its thresholds.
 

@@ -10,10 +10,7 @@ from skyproof.errors import ConfigurationError
 def build_detector(name: str, size: str, *, generator: torch.Generator) -> TrainableDetector:
     """Builds an untrained detector on the CPU; its initial weights depend on `generator` alone.
 
-    Args:
-        name: "retinanet", "faster_rcnn", "yolov5" (YOLOv5u) or "yolov5_anchors" (of 2020).
-        size: "slim" (about 1 to 2.5 M parameters, for a CPU) or "full" (9 to 43 M, for a GPU).
-        generator: source of one number, the seed of the weights.
+    `size` is "slim" (about 1 to 2.5 M parameters, for a CPU) or "full" (9 to 43 M, for a GPU).
 
     Raises:
         ConfigurationError: another name or size, or the yolo extra is missing.

@@ -77,16 +77,13 @@ class DetectorCard:
         format: version of the file format.
         name: name in tables: one of `DETECTOR_NAMES` for ours, the given name for another detector.
         size: "slim" or "full" for ours, "brought" for an imported one; else empty.
-        threshold: frozen score threshold, chosen by F1 on validation images unless `threshold_from`
-            says otherwise; see `frozen_threshold`.
+        threshold: frozen score threshold; see `frozen_threshold`.
         gsd_m: metres per pixel of its input images.
         image_size_px: height and width of the first training image, at most those of a training
             window; those of the first validation image for an imported detector.
         parameters: number of trained parameters.
         training: settings and progress, as `train` writes them; empty for an imported one.
         validation: "ap_centre_1m", "ap_iou_50" and "f1" (centre), each 0 to 1.
-        validation_vehicles: number of vehicles in the validation images; None if not known.
-        skyproof_version: version that wrote the card.
         trained_on: short description of the training images; empty if not known.
         threshold_from: source of the threshold, if it was frozen anew.
         brought: blueprint of an imported detector; else None.

@@ -27,10 +27,10 @@ def check_images(images: Tensor) -> None:
 
 
 def check_targets(images: Tensor, targets: Sequence[Tensor]) -> None:
-    """Refuses targets that do not belong to their images.
+    """Refuses targets without one box tensor per image.
 
     Raises:
-        ConfigurationError: there is not one box tensor per image.
+        ConfigurationError: their numbers differ.
     """
     if len(targets) != len(images):
         raise ConfigurationError(

@@ -63,7 +63,7 @@ def import_detector(
     name: str | None = None,
     device: torch.device | str = "cpu",
 ) -> DetectorCard:
-    """Converts a checkpoint to a detector folder that `load_detector` opens like any other.
+    """Converts a checkpoint to a detector folder that `load_detector` opens, and returns its card.
 
     Args:
         checkpoint: the checkpoint to import.
@@ -71,9 +71,6 @@ def import_detector(
         folder: new folder for `weights.safetensors` and `detector.json`; must not exist yet.
         name: name in tables; the folder's name if None, because most files are called best.pt.
         device: device of the validation.
-
-    Returns:
-        The card of the stored detector.
 
     Raises:
         ConfigurationError: the weights do not fit, a class does not exist, the validation images

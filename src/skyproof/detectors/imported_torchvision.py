@@ -43,14 +43,12 @@ def count_classes(architecture: str, state: Mapping[str, Tensor]) -> int:
     name, anchors = _CLASS_ROWS[architecture.partition("_")[0]]
     rows = len(state[name]) if name in state and state[name].ndim == 1 else 0
     if not rows or rows % anchors:
+        held = (
+            f"{rows} class scores in {name}, not a multiple of {anchors}" if rows else f"no {name}"
+        )
         raise ConfigurationError(
-            f"The weights do not fit {architecture}: they hold "
-            + (
-                f"{rows} class scores in {name}, not a multiple of {anchors}"
-                if rows
-                else f"no {name}"
-            )
-            + "; give the --architecture they were trained as."
+            f"The weights do not fit {architecture}: they hold {held}; give the --architecture "
+            "they were trained as."
         )
     return rows // anchors
 
@@ -60,9 +58,8 @@ def build_torchvision(
 ) -> TorchvisionDetector:
     """Builds the network of one of `ARCHITECTURES`, without weights; it never resizes.
 
-    Anchors and limits are torchvision's own. The best score among the columns `vehicle_classes` is
-    the vehicle's. `norm_eps` is the epsilon of the backbone's batch norm, if torchvision's
-    published weights need another one.
+    Anchors and limits are torchvision's own. `norm_eps` is the epsilon of the backbone's batch
+    norm, if torchvision's published weights need another one.
     """
     model = getattr(detection, architecture)(
         weights=None, weights_backbone=None, num_classes=class_count
@@ -70,12 +67,12 @@ def build_torchvision(
     for layer in model.backbone.modules():
         if norm_eps is not None and isinstance(layer, nn.BatchNorm2d):
             layer.eps = norm_eps
-    family = {
+    families = {
         "fasterrcnn": ImportedFasterRcnn,
         "fcos": ImportedFcos,
         "retinanet": ImportedRetinaNet,
     }
-    return family[architecture.partition("_")[0]](model, tuple(vehicle_classes))
+    return families[architecture.partition("_")[0]](model, tuple(vehicle_classes))
 
 
 class _Imported(TorchvisionDetector):
@@ -86,9 +83,8 @@ class _Imported(TorchvisionDetector):
         self.vehicle_classes = vehicle_classes
 
     def _normalise(self, images: Tensor) -> Tensor:
-        return (images - images.new_tensor(MEAN).view(3, 1, 1)) / images.new_tensor(DEVIATION).view(
-            3, 1, 1
-        )
+        mean, deviation = (images.new_tensor(each).view(3, 1, 1) for each in (MEAN, DEVIATION))
+        return (images - mean) / deviation
 
 
 class ImportedFasterRcnn(_Imported, FasterRcnnDetector):
@@ -103,10 +99,8 @@ class ImportedRetinaNet(_Imported, RetinaNetDetector):
 
     def _outputs(self, images: Tensor) -> tuple[dict[str, Tensor], Tensor]:
         outputs, anchors = super()._outputs(images)
-        return {
-            **outputs,
-            "cls_logits": outputs["cls_logits"][..., list(self.vehicle_classes)],
-        }, anchors
+        vehicles = outputs["cls_logits"][..., list(self.vehicle_classes)]
+        return {**outputs, "cls_logits": vehicles}, anchors
 
 
 class ImportedFcos(_Imported):
@@ -124,10 +118,8 @@ class ImportedFcos(_Imported):
         """
         check_targets(images, targets)
         logits = self._outputs(images)[0]["cls_logits"]
-        return (
-            sigmoid_focal_loss(logits, torch.zeros_like(logits)).sum(dim=(1, 2))
-            / POSITIVES_PER_VEHICLE
-        )
+        focal = sigmoid_focal_loss(logits, torch.zeros_like(logits))
+        return focal.sum(dim=(1, 2)) / POSITIVES_PER_VEHICLE
 
     def candidates(self, images: Float[Tensor, "B 3 H W"]) -> Candidates:
         """Every point's box and score."""

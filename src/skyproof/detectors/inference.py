@@ -37,15 +37,13 @@ def detect_all(detector: Detector, dataset: Dataset) -> list[Detections]:
 def detect_by_each(detectors: Sequence[Detector], dataset: Dataset) -> list[list[Detections]]:
     """Runs `detect` of every detector over all images, in batches of one size.
 
-    Each detector works on its own device. Images are decoded batch by batch, once for all
-    detectors, the next batch in the background. An image of more than 1024 px a side is split into
-    windows of 384 px that overlap by at least 96 px; the window whose core holds a detection's
-    centre keeps it, and duplicates at the seams are suppressed. So neither memory nor a detector's
-    largest number of detections limits the result on a large image.
+    Images are decoded batch by batch, once for all detectors. An image of more than 1024 px a side
+    is split into windows of 384 px that overlap by at least 96 px; the window whose core holds a
+    detection's centre keeps it, and duplicates at the seams are suppressed. So neither memory nor a
+    detector's largest number of detections limits the result on a large image.
 
     Returns:
-        The detections of each image by each detector, sorted by falling score, boxes in the image's
-            pixels.
+        Per detector the detections of each image, in the image's pixels, by falling score.
 
     Raises:
         StoredFileError: an image file of a dataset folder is missing or damaged.
@@ -164,14 +162,10 @@ def _cores(windows: Sequence[Window]) -> Float[Tensor, "W 4"]:
         length = windows[0][2 + axis]
         starts = sorted({window[axis] for window in windows})
         middles = [(second + first + length) / 2 for first, second in itertools.pairwise(starts)]
-        lows = dict(
-            zip(starts, [-torch.inf, *(middle - _SEAM_PX for middle in middles)], strict=True)
-        )
-        highs = dict(
-            zip(starts, [*(middle + _SEAM_PX for middle in middles), torch.inf], strict=True)
-        )
-        edges.append((lows, highs))
-    (lefts, rights), (tops, bottoms) = edges
+        lows = [-torch.inf, *(middle - _SEAM_PX for middle in middles)]
+        highs = [*(middle + _SEAM_PX for middle in middles), torch.inf]
+        edges += [dict(zip(starts, each, strict=True)) for each in (lows, highs)]
+    lefts, rights, tops, bottoms = edges
     return torch.tensor(
         [[lefts[left], tops[top], rights[left], bottoms[top]] for left, top, _, _ in windows]
     )

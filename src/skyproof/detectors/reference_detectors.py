@@ -30,10 +30,7 @@ def reference_folder(name: str) -> Path:
 
 
 def detector_folder(place: str | Path) -> Path:
-    """Returns a detector's folder, given as a path or as the name of one that ships with skyproof.
-
-    The user's own folder of that name takes precedence.
-    """
+    """The folder of a path, or of the name of a detector that ships; an own folder goes first."""
     folder = Path(place)
     named = str(place) in REFERENCE_DETECTORS and not folder.exists()
     return REFERENCE_FOLDER / folder.name if named else folder

@@ -6,10 +6,7 @@ from skyproof.storage import tensors_digest
 
 
 def weights_digest(detector: nn.Module) -> str:
-    """Computes the SHA-256 over names, shapes and bytes of parameters and buffers.
-
-    An attack leaves the detector unchanged, so its digest is equal before and after.
-    """
+    """Computes the SHA-256 over names, shapes and bytes of parameters and buffers."""
     return tensors_digest(detector.state_dict())
 
 
