@@ -49,10 +49,9 @@ class CamouflageAugmentation:
         backgrounds: str | Path,
         fleet: str | Path,
     ) -> None:
-        loaded = (
-            load_camouflage(Path(camouflage)) if isinstance(camouflage, str | Path) else camouflage
-        )
-        self._camouflage = loaded
+        if isinstance(camouflage, str | Path):
+            camouflage = load_camouflage(Path(camouflage))
+        self._camouflage = camouflage
         rendered = Dataset.open(dataset)
         if rendered.renderer != TorchRenderer.name:
             raise ConfigurationError(
@@ -63,7 +62,7 @@ class CamouflageAugmentation:
         self._scenes = {scene.id: scene for scene in rendered.scenes}
         self._renderer = _renderer_of(rendered, BackgroundSet.open(Path(backgrounds)))
         self._fleet = Fleet.load(Path(fleet))
-        self.metadata: dict[str, Any] = {"id": str(loaded.name)}
+        self.metadata: dict[str, Any] = {"id": str(camouflage.name)}
 
     def __call__(
         self, batch: Batch, /
@@ -77,11 +76,10 @@ class CamouflageAugmentation:
             ConfigurationError: an image shows no scene of the dataset.
         """
         images, _, metadata = batch
-        drawn = [
-            self._drawn(self._scene(image, known), known)
-            for image, known in zip(images, metadata, strict=True)
-        ]
-        return [each[0] for each in drawn], [each[1] for each in drawn], [each[2] for each in drawn]
+        known = zip(images, metadata, strict=True)
+        rendered = [self._rendered(self._scene(image, each), each) for image, each in known]
+        shown, targets, told = (list(parts) for parts in zip(*rendered, strict=True))
+        return shown, targets, told
 
     def _scene(self, image: Any, known: Mapping[str, Any]) -> Scene:
         scene = self._scenes.get(known["id"])
@@ -95,7 +93,7 @@ class CamouflageAugmentation:
         return scene
 
     @torch.no_grad()
-    def _drawn(
+    def _rendered(
         self, scene: Scene, known: Mapping[str, Any]
     ) -> tuple[np.ndarray, Target, dict[str, Any]]:
         vehicles = self._camouflage(placed_vehicles(self._fleet, [scene]))

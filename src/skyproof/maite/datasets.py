@@ -21,10 +21,9 @@ class VehicleDataset:
 
     - `img_gsd`: metres per pixel, the key that NRTK's sensor models read;
     - `ignore`: `[m][4]` regions that are not scored, for which MAITE has no field;
-    - for rendered scenes `rendering`, the renderer and the first digits of a digest of its
-    settings; `place`, the tile of ground, which is the cluster of all intervals; `vehicles` and
-    `placements`, the fleet's vehicle and the index in the scene of each box; and
-    `sun_elevation_deg`, `sun_azimuth_deg`, `tilt_deg` and `weather`.
+    - for rendered scenes `rendering`, the renderer and a digest of its settings; `place`, the tile
+    of ground; `vehicles` and `placements`, the fleet's vehicle and the index in the scene of each
+    box; and `sun_elevation_deg`, `sun_azimuth_deg`, `tilt_deg` and `weather`.
 
     A vehicle out of sight, whose box has no area, is left out.
 
@@ -55,12 +54,7 @@ class VehicleDataset:
         return len(self._images)
 
     def __getitem__(self, ind: int, /) -> tuple[np.ndarray, Target, dict[str, Any]]:
-        """Gives image, target and metadata.
-
-        Raises:
-            IndexError: there are fewer images.
-            StoredFileError: the image file is missing or damaged.
-        """
+        """Gives image, target and metadata; raises IndexError beyond the last image."""
         return self.get_input(ind), self.get_target(ind), self.get_metadata(ind)
 
     def get_input(self, index: int, /) -> np.ndarray:

@@ -29,21 +29,17 @@ class HiddenVehicles:
 
     The model sees the unchanged images once; MAITE's `evaluate` then passes the results on the
     changed ones: a camouflage, or any other augmentation that keeps every vehicle. `id` identifies
-    an image; `placements` in the metadata, else the order of boxes, identifies a vehicle. If a
-    dataset has several classes, the boxes of the given labels are the vehicles.
+    an image; `placements` in the metadata, else the order of boxes, identifies a vehicle.
 
     Args:
         model: the MAITE model to evaluate.
         dataset: the MAITE dataset without the change.
         threshold: score at or above which a detection counts; None takes that of the model's
-            metadata, as `DetectorModel` gives it.
+            metadata.
         labels: vehicle classes of the model, and of the dataset if it has several classes.
         gsd_m: metres per pixel; None takes `img_gsd` of the metadata.
         match: rule that pairs detections with vehicles, a criterion of `match_detections`.
         batch_size: images per call of the model.
-
-    Attributes:
-        metadata: `id`.
 
     Raises:
         ConfigurationError: threshold or resolution are not known, the model was made for another
@@ -75,7 +71,7 @@ class HiddenVehicles:
         self._gsd_m = gsd_m
         self._made_for_m = model.metadata.get("gsd_m")
         self._match: Criterion = match
-        self._unchanged: set[str] = set()
+        # By the id of each unchanged image.
         self._renderings: dict[str, Any] = {}
         self._numbers: dict[str, list[int]] = {}
         others: set[int] = set()
@@ -84,7 +80,6 @@ class HiddenVehicles:
         self._before: dict[_Vehicle, bool] = {}
         self.reset()
         for images, targets, metadata in batches(dataset, batch_size):
-            self._unchanged |= {str(known["id"]) for known in metadata}
             self._renderings |= {str(known["id"]): known.get("rendering") for known in metadata}
             self._before |= self._found(model(images), targets, metadata)
             others |= {int(label) for target in targets for label in np.ravel(target.labels)}
@@ -115,7 +110,7 @@ class HiddenVehicles:
         """
         for known in metadata_batch:
             image = str(known["id"])
-            if image not in self._unchanged:
+            if image not in self._renderings:
                 raise ConfigurationError(
                     f"Image {image[:100]!r} is none of the unchanged dataset's; give the metric "
                     "the dataset that the changed images were made of."

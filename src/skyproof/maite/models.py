@@ -13,12 +13,8 @@ from torch import Tensor
 from torchvision import ops
 
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.detector import (
-    LOWEST_SCORE,
-    SUPPRESSION_IOU,
-    Detections,
-    Detector,
-)
+from skyproof.detectors.answers import BlackBoxDetector
+from skyproof.detectors.detector import LOWEST_SCORE, SUPPRESSION_IOU, Detections, Detector
 from skyproof.detectors.inference import detect_all
 from skyproof.detectors.loaded import load_detector
 from skyproof.errors import ConfigurationError
@@ -31,12 +27,11 @@ class DetectorModel:
     Args:
         detector: a detector folder, or a result of `load_detector`.
 
+    Detections below the threshold are returned, too, so that MAITE's metrics see the whole curve.
+
     Attributes:
         metadata: `id`, the name and the first digits of a digest of weights and threshold, because
-            tools file results under it; `index2label`; and our own additions `threshold`, the
-            frozen score at or above which a detection counts, and `gsd_m`, the resolution that the
-            detector was made for. Detections below the threshold are returned, too, so that MAITE's
-            metrics see the whole curve.
+            tools file results under it; `index2label`; and our additions `threshold` and `gsd_m`.
 
     Raises:
         StoredFileError: the folder is missing or damaged.
@@ -70,19 +65,18 @@ class DetectorModel:
         return [Target.of(each.boxes, each.scores) for each in found]
 
 
-class ModelDetector:
+class ModelDetector(BlackBoxDetector):
     """A MAITE object-detection model as a black-box detector.
 
+    Its name is the model's `id`, with hyphens for characters that file names do not allow.
+
     Args:
-        model: any MAITE model of object detection, from any library.
+        model: any MAITE model of object detection.
         vehicle_classes: vehicle classes by their names in `index2label`; may be left out if that
             has one class.
         largest_value: largest value of its input images: 1 for floats in [0, 1], 255 for bytes.
             MAITE does not prescribe it, and a model with the wrong range finds nothing, or the
             wrong objects.
-
-    Attributes:
-        name: the model's `id`, with hyphens for characters that file names do not allow.
 
     Raises:
         ConfigurationError: the model lacks the classes, or has several and none was named.
@@ -92,13 +86,13 @@ class ModelDetector:
         self, model: Any, *, vehicle_classes: Sequence[str] = (), largest_value: Literal[1, 255] = 1
     ) -> None:
         metadata: Mapping[str, Any] = model.metadata
-        self.name = re.sub(r"[^\w.-]+", "-", str(metadata["id"])).strip("-.") or "model"
+        name = re.sub(r"[^\w.-]+", "-", str(metadata["id"])).strip("-.") or "model"
+        super().__init__(self._query, name)
         self._model = model
         self._bytes = largest_value == 255
-        self._labels = _vehicle_labels(metadata, vehicle_classes, self.name)
+        self._labels = _vehicle_labels(metadata, vehicle_classes, name)
 
-    def detect(self, images: Float[Tensor, "B 3 H W"]) -> list[Detections]:
-        """See `Detector.detect`."""
+    def _query(self, images: Float[Tensor, "B 3 H W"]) -> list[Detections]:
         shown = images.detach().cpu()
         if self._bytes:
             shown = (shown * 255).round().byte()

@@ -57,9 +57,7 @@ def batches(dataset: Any, size: int) -> Iterator[Batch]:
 
 
 def bytes_of(image: Any) -> UInt8[Tensor, "3 H W"]:
-    """Reads a MAITE image, any array-like `[3, H, W]`, as sRGB bytes.
-
-    MAITE prescribes no range of values: whole numbers count as 0 to 255, others as 0 to 1.
+    """Reads a MAITE image, any array-like `[3, H, W]`: bytes, or other numbers from 0 to 1.
 
     Raises:
         ConfigurationError: it has another shape, or values outside that range.
@@ -86,9 +84,8 @@ def bytes_of(image: Any) -> UInt8[Tensor, "3 H W"]:
 def found_vehicles(target: Any, labels: Sequence[int]) -> Detections:
     """Reads a MAITE model's answer to one image: its possible vehicles, sorted by falling score.
 
-    Boxes are `[N, 4]`, labels `[N]`, scores `[N]` or `[N, classes]`. Scores of several classes are
-    probabilities that exclude each other, because MAITE's rule lets them sum to at most 1; the
-    scores of all vehicle classes (`labels`) are added up.
+    Scores are `[N]` or `[N, classes]`. Those of several classes exclude each other, because MAITE
+    lets them sum to at most 1, so the scores of all vehicle classes (`labels`) are added up.
 
     Raises:
         ValueError: the answer has another shape.
