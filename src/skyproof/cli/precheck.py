@@ -121,7 +121,7 @@ class Precheck:
         frames: Sequence[BaselineSet],
     ) -> list[PrecheckRecord]:
         """Every detector's record: those that are there, and those that are made here."""
-        from skyproof.detectors.loaded import load_apart
+        from skyproof.detectors.loaded import load_ensemble
         from skyproof.measure.precheck import measured_on, precheck
         from skyproof.results.precheck import PRECHECK_FILE, write_precheck
 
@@ -135,7 +135,7 @@ class Precheck:
         }
         open_ones = [folder for folder in self.detectors if folder not in records]
         if open_ones:
-            detectors = load_apart(open_ones, device, backgrounds.gsd_m)
+            detectors = load_ensemble(open_ones, device, backgrounds.gsd_m, apart=True)
             with progress_bar("precheck") as update:
                 made = precheck(
                     detectors,

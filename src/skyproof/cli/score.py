@@ -62,7 +62,7 @@ class Score(Rendering):
         from skyproof.console import progress_bar
         from skyproof.datasets.dataset import Dataset
         from skyproof.detectors.card import read_card
-        from skyproof.detectors.loaded import load_apart, load_ensemble
+        from skyproof.detectors.loaded import load_ensemble
         from skyproof.device import choose_device
         from skyproof.files import refuse_existing
         from skyproof.measure.frames import read_frames
@@ -76,8 +76,7 @@ class Score(Rendering):
         original = None if self.original is None else Dataset.open(self.original)
         gsd_m = read_card(self.detectors[0]).gsd_m if original is None else original.gsd_m
         # Detectors of one kind can stand in one table of baselines, told apart by their folders.
-        load_all = load_apart if original is None else load_ensemble
-        detectors = load_all(self.detectors, device, gsd_m)
+        detectors = load_ensemble(self.detectors, device, gsd_m, apart=original is None)
         baselines = read_frames(self.frames, self.frame_classes, gsd_m)
         worn = {folder: load_camouflage(folder) for folder in self.camouflages}
         scenes = [] if original is None else original.scenes

@@ -59,7 +59,9 @@ def read_checkpoint(path: Path) -> Any:
         if path.suffix == ".safetensors":
             return load_file(path)
         _refuse_packed(path)
-        names = _foreign_names(path)
+        # The form of before 2020 lists no names, but its unpickler refuses them itself.
+        listed = torch.serialization.get_unsafe_globals_in_checkpoint
+        names = listed(str(path)) if zipfile.is_zipfile(path) else []
         stand_ins = [
             (type(name.rpartition(".")[2], (StandIn,), {"origin": name}), name) for name in names
         ]
@@ -86,9 +88,6 @@ def network_of(content: Any) -> Any:
 
 def state_of(network: Any) -> dict[str, Tensor]:
     """Parameters and buffers by name, in float32, from a state dict or a whole stored network.
-
-    Returns:
-        Tensors by name; empty if there are none.
 
     Raises:
         StoredFileError: a tensor claims more numbers than the file holds, is sparse, quantised or
@@ -136,22 +135,6 @@ def state_of(network: Any) -> dict[str, Tensor]:
     }
 
 
-def activations_of(network: StandIn) -> set[str]:
-    """Names the torch activations of a whole stored network, such as "SiLU".
-
-    Raises:
-        StoredFileError: the network has no end.
-    """
-    before = "torch.nn.modules.activation."
-    origins = {part.origin for part, _ in parts_of(network)}
-    # That module holds attention, too.
-    return {
-        origin.removeprefix(before)
-        for origin in origins
-        if origin.startswith(before) and not origin.endswith("MultiheadAttention")
-    }
-
-
 def parts_of(network: StandIn) -> Iterator[tuple[StandIn, str]]:
     """Yields a stored network and all its parts, each with the prefix of its tensors' names."""
     waiting = [(network, "")]
@@ -172,18 +155,6 @@ def parts_of(network: StandIn) -> Iterator[tuple[StandIn, str]]:
         ]
         # The order of a state dict: a part with everything below it, then the next.
         waiting += reversed(children)
-
-
-def _foreign_names(path: Path) -> list[str]:
-    """Lists the dotted names that the unpickler would refuse.
-
-    The list is empty for the form of before 2020, whose unpickler refuses them itself.
-    """
-    return (
-        torch.serialization.get_unsafe_globals_in_checkpoint(str(path))
-        if zipfile.is_zipfile(path)
-        else []
-    )
 
 
 def _other_than_dense(tensor: Tensor) -> str:

@@ -1,6 +1,5 @@
 """Turns a checkpoint into a detector folder: weights, vehicle classes, frozen threshold."""
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,7 +19,7 @@ from skyproof.detectors.loaded import save_detector
 from skyproof.detectors.stored_ultralytics import read_ultralytics
 from skyproof.detectors.threshold import check_validation, frozen_card
 from skyproof.errors import ConfigurationError, StoredFileError
-from skyproof.files import finished_folder, refuse_existing
+from skyproof.files import file_digest, finished_folder, refuse_existing
 from skyproof.ranges import GroundResolution, check_value
 
 # Published weights whose batch norm was trained with no epsilon (torchvision's `overwrite_eps`).
@@ -108,7 +107,7 @@ def import_detector(
             f"{checkpoint.path} holds weights that are not finite ({broken[:100]}); give a "
             "checkpoint from before its training broke."
         )
-    digest = _sha256(checkpoint.path)
+    digest = file_digest(checkpoint.path)
     architecture, classes, vehicles, eps = read(checkpoint, network, state, digest)
     blueprint = Blueprint(
         checkpoint.kind,
@@ -202,8 +201,3 @@ def _load(detector: ImportedDetector, state: dict[str, Tensor], checkpoint: Chec
             f"The weights of {checkpoint.path} do not fit {what}: {len(different)} tensors differ, "
             f"such as {different[0] if different else 'none by name'}; {remedy}."
         ) from error
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -35,9 +35,7 @@ def save_detector(folder: Path, detector: TrainableDetector, card: DetectorCard)
 
 
 def copy_detector(folder: Path, out: Path, also: Sequence[str] = ()) -> None:
-    """Copies the files of a detector, and those of `also` that exist; the card comes last.
-
-    `out` is a `finished_folder`, so that it appears complete or not at all.
+    """Copies the files of a detector, and those of `also` that exist, into a `finished_folder`.
 
     Raises:
         StoredFileError: a file is a link that leads out of the folder.
@@ -114,9 +112,11 @@ def _load(folder: Path) -> TrainableDetector:
 
 
 def load_ensemble(
-    folders: Sequence[Path], device: torch.device | str, gsd_m: float
+    folders: Sequence[Path], device: torch.device | str, gsd_m: float, *, apart: bool = False
 ) -> list[TrainableDetector]:
     """Loads detectors that will see the same images, onto the device they will run on.
+
+    With `apart` they are used one by one, and detectors of one kind take their folders' names.
 
     Raises:
         ConfigurationError: two share a name, or one has another resolution than the images.
@@ -125,7 +125,7 @@ def load_ensemble(
     ensemble: list[TrainableDetector] = []
     for folder in folders:
         detector = load_detector(folder)
-        if any(detector.name == other.name for other in ensemble):
+        if not apart and any(detector.name == other.name for other in ensemble):
             raise ConfigurationError(
                 f"{folder} is a second {detector.name}; give each kind of detector once."
             )
@@ -136,24 +136,11 @@ def load_ensemble(
             )
         # Convolutions on a CPU are faster in this layout.
         ensemble.append(detector.to(device).to(memory_format=torch.channels_last))
-    return ensemble
-
-
-def load_apart(
-    folders: Sequence[Path], device: torch.device | str, gsd_m: float
-) -> list[TrainableDetector]:
-    """Loads detectors that are used one by one; detectors of one kind take their folders' names.
-
-    Raises:
-        ConfigurationError: a detector has another resolution than the images.
-        StoredFileError: a folder is missing, damaged or of another version.
-    """
-    detectors = [load_ensemble([folder], device, gsd_m)[0] for folder in folders]
-    names = [detector.name for detector in detectors]
-    for folder, detector in zip(folders, detectors, strict=True):
+    names = [detector.name for detector in ensemble]
+    for folder, detector in zip(folders, ensemble, strict=True):
         if names.count(detector.name) > 1:
             detector.set_card(replace(detector.card, name=folder.name))
-    return detectors
+    return ensemble
 
 
 def copy_with_threshold(

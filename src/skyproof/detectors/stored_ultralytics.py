@@ -8,7 +8,7 @@ from typing import Any
 from torch import Tensor
 
 from skyproof.detectors.blueprint import plain_architecture
-from skyproof.detectors.checkpoints import StandIn, activations_of, parts_of
+from skyproof.detectors.checkpoints import StandIn, parts_of
 from skyproof.errors import ConfigurationError, StoredFileError
 
 _NETWORKS = ("ultralytics.nn.tasks.DetectionModel", "ultralytics.nn.tasks.OBBModel")
@@ -99,7 +99,10 @@ def _with_anchors(
             "saves it."
         )
     wanted = re.search(r"nn\.(\w+)", str(stored.get("activation") or "nn.SiLU"))
-    found = activations_of(network)
+    before = "torch.nn.modules.activation."
+    origins = {part.origin for part, _ in parts_of(network) if part.origin.startswith(before)}
+    # That module holds attention, too.
+    found = {origin.removeprefix(before) for origin in origins} - {"MultiheadAttention"}
     if wanted is None or found - {wanted[1]}:
         raise ConfigurationError(
             f"its layers compute {', '.join(sorted(found))}, as those of releases before 4.0 "

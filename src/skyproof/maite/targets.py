@@ -57,7 +57,7 @@ def batches(dataset: Any, size: int) -> Iterator[Batch]:
 
 
 def bytes_of(image: Any) -> UInt8[Tensor, "3 H W"]:
-    """Reads a MAITE image, any array-like `[3, H, W]`: bytes, or other numbers from 0 to 1.
+    """Reads a MAITE image, any array-like `[3, H, W]` of 0 to 255, or of fractions, as bytes.
 
     Raises:
         ConfigurationError: it has another shape, or values outside that range.
