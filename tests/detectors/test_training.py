@@ -134,8 +134,6 @@ def test_a_finished_folder_is_loaded_and_not_trained_again(tmp_path: Path) -> No
 
 
 def test_other_images_of_the_same_settings_are_refused(tmp_path: Path) -> None:
-    """Begun or finished; a card of before images belonged to the identity tells them beside it."""
-
     def train_on(training: Dataset, validation: Dataset, on_step: Any = None) -> None:
         generator = torch.Generator().manual_seed(0)
         detector = build_detector("retinanet", "slim", generator=generator)
@@ -162,17 +160,6 @@ def test_other_images_of_the_same_settings_are_refused(tmp_path: Path) -> None:
     refused()
     train_on(TRAINING, VALIDATION)
     refused()
-    path = tmp_path / "detector.json"
-    card = json.loads(path.read_text())
-    for key in ("data_sha256", "validation_sha256"):
-        del card["training"]["identity"][key]
-    path.write_text(json.dumps(card))
-    train_on(TRAINING, VALIDATION)
-    refused()
-    for key in ("data_sha256", "validation_sha256"):
-        del card["training"][key]
-    path.write_text(json.dumps(card))
-    train_on(TRAINING, VALIDATION)
 
 
 def test_damaged_checkpoint_and_other_settings_are_refused(tmp_path: Path) -> None:

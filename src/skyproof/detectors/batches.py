@@ -1,13 +1,11 @@
 """The images of one training step: order, windows of large images, masking, augmentation."""
 
 import math
-from collections.abc import Iterator
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skyproof.datasets.ahead import made_ahead
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.augmentation import jitter, turn
 from skyproof.detectors.common import PADDING_GREY
@@ -16,27 +14,14 @@ from skyproof.detectors.common import PADDING_GREY
 WINDOW_PX = 384
 
 
-def training_batches(
-    training: Dataset, steps: range, *, batch_size: int, jitter_strength: float, seed: int
-) -> Iterator[tuple[Float[Tensor, "B 3 H W"], list[Tensor]]]:
-    """Yields `training_batch` of each step, and makes the next one in the background."""
-    return made_ahead(
-        lambda step: training_batch(
-            training, step, batch_size=batch_size, jitter_strength=jitter_strength, seed=seed
-        ),
-        steps,
-    )
-
-
 def training_batch(
     training: Dataset, step: int, *, batch_size: int, jitter_strength: float, seed: int
 ) -> tuple[Float[Tensor, "B 3 H W"], list[Tensor]]:
     """Makes the images and boxes of one step, counted from 0.
 
-    They depend on seed and step alone, so that a resumed training is exact. An image wider or
-    higher than 384 px is shown as a window, another one each time; smaller ones are padded with
-    grey to the largest of the batch. `jitter_strength` is 0 for no photometric augmentation, 1 for
-    a mild one.
+    They depend on seed and step alone, so that a resumed training is exact. Of an image wider or
+    higher than 384 px a random window is shown; smaller ones are padded with grey to the largest of
+    the batch. `jitter_strength` is 0 for no photometric augmentation, 1 for a mild one.
 
     Returns:
         sRGB images in [0, 1], and the vehicle boxes `[n, 4]` of each image, pixel xyxy.
@@ -44,15 +29,13 @@ def training_batch(
     Raises:
         StoredFileError: an image file is missing or damaged.
     """
-    # The choice of images: every epoch shuffles them anew.
+    # Every epoch shuffles the images anew.
     count = len(training)
     positions = range(step * batch_size, (step + 1) * batch_size)
-    orders = {
-        epoch: torch.randperm(
-            count, generator=torch.Generator().manual_seed((seed + epoch) % 2**63)
-        )
-        for epoch in {position // count for position in positions}
-    }
+    orders = {}
+    for epoch in {position // count for position in positions}:
+        shuffle = torch.Generator().manual_seed((seed + epoch) % 2**63)
+        orders[epoch] = torch.randperm(count, generator=shuffle)
     generator = torch.Generator().manual_seed((seed ^ 0x5EED) + 7919 * step)
     indices = [int(orders[position // count][position % count]) for position in positions]
     # The view of each: a window, with ignore regions masked, turned and mirrored.

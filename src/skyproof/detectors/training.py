@@ -4,6 +4,7 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -12,8 +13,9 @@ from torch import Tensor, nn
 from torch.optim.lr_scheduler import LambdaLR
 from torch.optim.swa_utils import AveragedModel
 
+from skyproof.datasets.ahead import made_ahead
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.batches import WINDOW_PX, training_batches
+from skyproof.detectors.batches import WINDOW_PX, training_batch
 from skyproof.detectors.card import DetectorCard, installed_version
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.loaded import load_detector, save_detector
@@ -132,13 +134,14 @@ def _take_steps(
     schedule = cast(LambdaLR, loop.parts["schedule"])
     best = cast(_Best, loop.parts["best"])
     device = next(detector.parameters()).device
-    batches = training_batches(
+    make = partial(
+        training_batch,
         training,
-        range(loop.step, settings.steps),
         batch_size=settings.batch_size,
         jitter_strength=settings.jitter,
         seed=loop.identity["seed"],
     )
+    batches = made_ahead(make, range(loop.step, settings.steps))
     for step, (images, targets) in zip(loop, batches, strict=True):
         images = images.to(device).contiguous(memory_format=torch.channels_last)
         loss = detector.loss(images, [boxes.to(device) for boxes in targets]).mean()
@@ -243,13 +246,7 @@ def _check(training: Dataset, validation: Dataset) -> None:
 
 def _finished(detector: TrainableDetector, folder: Path, identity: dict[str, Any]) -> DetectorCard:
     stored = load_detector(folder)
-    told = stored.card.training
-    known = told.get("identity")
-    if isinstance(known, dict):
-        # Older cards name the images beside the identity, the oldest not at all.
-        images = {key: told.get(key, identity[key]) for key in ("data_sha256", "validation_sha256")}
-        known = {**images, **known}
-    refuse_other(folder, known, identity, _OTHER)
+    refuse_other(folder, stored.card.training.get("identity"), identity, _OTHER)
     detector.load_state_dict(stored.state_dict())
     detector.eval()
     return stored.card
