@@ -28,14 +28,10 @@ Answering = Callable[[Any], Sequence[object]]
 class BlackBoxDetector(Detector):
     """A detector known only by its detections, which are checked.
 
-    The callable, or the method `detect` of an object, takes sRGB images `[B, 3, H, W]` in [0, 1]
-    and gives boxes `[K, 4]` (left, top, right, bottom in pixels) and scores `[K]` in [0, 1] of each
-    image: as a pair, or as attributes or items called `boxes` and `scores`.
-
-    Args:
-        detector: the callable, or the object.
-        name: its name in tables; its own `name` or `__name__` if None.
-        card: its threshold and resolution, and its name; None before a threshold is frozen.
+    A callable, or the method `detect` of an object, takes sRGB images `[B, 3, H, W]` in [0, 1] and
+    gives boxes `[K, 4]` (left, top, right, bottom in pixels) and scores `[K]` in [0, 1] of each
+    image: as a pair, or as attributes or items called `boxes` and `scores`. Its name in tables is
+    that of the card, `name`, or its own `name` or `__name__`.
 
     Raises:
         ConfigurationError: it cannot be called, or has no name that can be a file's.

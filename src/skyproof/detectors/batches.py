@@ -73,10 +73,7 @@ def window(
 
     A smaller image comes back unchanged, without a draw. Every second window is laid over a vehicle
     if there is one, so that wide images with few vehicles do not show ground alone. A box (pixel
-    xyxy) inside the window stays a vehicle; a box that its edge cuts becomes an ignore region.
-
-    Returns:
-        The window, and the boxes and ignore regions in its pixels.
+    xyxy) that the window's edge cuts becomes an ignore region.
     """
     height, width = image.shape[1:]
     high = min(height, WINDOW_PX)

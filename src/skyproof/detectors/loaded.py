@@ -56,7 +56,7 @@ def load_detector(
 def load_detector(
     detector: str | Path | Answering, labelled: Dataset | None = None, *, name: str | None = None
 ) -> TrainableDetector | BlackBoxDetector:
-    """Opens a detector folder on the CPU, or wraps a callable of somebody else's.
+    """Opens a detector folder on the CPU, or wraps a callable of yours.
 
     Args:
         detector: a detector folder, "retinanet" or "faster_rcnn"; or a callable, which takes sRGB

@@ -49,12 +49,9 @@ def train(
 
     Args:
         detector: fresh from `build_detector`, on the device to train on.
-        training: images of any sizes, with or without vehicles; ignore regions are painted over
-            with the mean colour, and images larger than 384 px are shown in random windows (see
-            `batches.window`).
+        training: images of any sizes, with or without vehicles; see `training_batch`.
         validation: images that choose the best weights (centre AP, then F1) and freeze the
             threshold.
-        settings: see `TRAINING_PRESETS`.
         folder: gets `weights.safetensors`, `detector.json`, `steps.jsonl`; `checkpoint.safetensors`
             until finished.
         generator: source of one number, the seed of order and augmentation.

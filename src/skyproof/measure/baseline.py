@@ -53,13 +53,9 @@ def measure_baselines(
 ) -> list[Baseline]:
     """Measures every detector on images without camouflage.
 
-    Intervals are over places, or over images if all show one place or none is known.
-
-    Args:
-        detectors: detectors with cards.
-        images: images of the detectors' resolution.
-        view: the detections in them; None runs the detectors.
-        seed: seed of the bootstrap, the same for each set, so that no set changes another's.
+    Intervals are over places, or over images if all show one place or none is known. Without a
+    `view` of the images the detectors run. Each set has the same `seed`, so that no set changes
+    another's intervals.
     """
     view = view or look(detectors, images.name, images.images)
     return [_measure(each, images, view, seed) for each in detectors]
@@ -147,19 +143,10 @@ def ap_interval(
 ) -> Interval:
     """Average precision with its 95 % interval, as fractions.
 
-    Images of one place share ground, light and often the very vehicles, so places are resampled,
-    not images. Limits are those of all our rates (`bootstrap_interval`: BCa widened for few
-    clusters, and no narrower than the effective number of vehicles allows), so that with two or
-    three places they are honest and wide.
-
-    Args:
-        matches: the matched images.
-        clusters: place of each image.
-        generator: generator of the replicates.
-        replicates: number of replicates.
-
-    Returns:
-        The limits are nan with fewer than two clusters, all three without a vehicle.
+    Images of one place share ground, light and often the very vehicles, so places (`clusters`, one
+    per image) are resampled, not images. Limits are those of all our rates (`bootstrap_interval`),
+    so that with two or three places they are honest and wide. They are nan with fewer than two
+    clusters, all three without a vehicle.
 
     Raises:
         ConfigurationError: there are not as many clusters as images.

@@ -59,14 +59,11 @@ def precheck(
     suns. Rates are by centres within 1 m at the frozen threshold. Nothing is written.
 
     Args:
-        detectors: detectors with cards.
         backgrounds: ground of the scenes; the fixed colours of Fc come from its attack split.
-        fleet: vehicles of the scenes.
         scenes: scenes of one image size and of the detectors' resolution.
         draws: number of draws of every random control.
         frames: annotated photographs for further baselines.
         seed: seed of random controls and of the bootstrap.
-        device: device of the renderer.
         progress: called with (images done, images in all).
 
     Returns:

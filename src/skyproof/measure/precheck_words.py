@@ -1,4 +1,4 @@
-"""What `skyproof precheck` prints of one detector."""
+"""The lines that `skyproof precheck` prints for one detector."""
 
 from collections.abc import Sequence
 from textwrap import wrap
@@ -17,7 +17,7 @@ from skyproof.results.statistics.intervals import Interval
 from skyproof.words import detector_name, interval, percent
 
 _FEW = 6
-"""Up to so many changes are all told; of more, the worst, and the record holds all of them."""
+"""Up to this number all changes are printed, above it only the worst."""
 
 _WORST = 3
 _WIDTH = 110
@@ -25,12 +25,7 @@ _INDENT = 48
 
 
 def lines(record: PrecheckRecord, doubts: Sequence[str] = ()) -> list[str]:
-    """Tells in a few lines what was measured, and what follows of it.
-
-    Args:
-        record: what was measured.
-        doubts: of its card, in a sentence each.
-    """
+    """Tells in a few lines what was measured, the findings, and the doubts of the card."""
     found = findings(record)
     told = [
         f"{detector_name(record.detector)}: {verdict(found).upper()} "

@@ -46,14 +46,10 @@ def score(
     """Writes a score folder: outcomes, baselines and pictures.
 
     Args:
-        detectors: detectors with cards.
         folder: folder to write, whole or not at all.
         scenes: scenes of one image size; without a stage none are rendered.
-        changes: changes of different names.
-        stage: vehicles and renderer.
         unchanged: the scenes as they are, if they are rendered already.
         baselines: further images without camouflage.
-        seed: seed of the bootstrap.
         sources: sources of the ground, or ["procedural"]; empty if not known.
         add: writes more into the folder before it is finished.
         progress: called with (images done, images in all).

@@ -123,10 +123,7 @@ def views(
     windows (`detect_by_each`). A batch is rendered while the detectors run on the one before.
 
     Args:
-        detectors: detectors with cards, of different names.
         scenes: scenes of one image size.
-        changes: changes of different names.
-        stage: vehicles and renderer.
         unchanged: the scenes as they are, if they are rendered already.
         progress: called with the number of images of each finished batch.
 
