@@ -5,13 +5,13 @@ Source: the formulas of github.com/ultralytics/yolov5, release 7.0; its code is 
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 from torch.nn import functional
-from torchvision.ops import complete_box_iou_loss
+from torchvision.ops import box_convert, complete_box_iou_loss
 
 # The source's settings for training from scratch, for three levels and images of 640 px.
 _BOX_GAIN = 0.05
@@ -26,14 +26,12 @@ _MANY_LEVEL_WEIGHTS = (4.0, 1.0, 0.25, 0.06, 0.02)
 _NEIGHBOURS = ((0, 0), (1, 0), (0, 1), (-1, 0), (0, -1))
 
 
-@dataclass(frozen=True)
-class AnchorAnswers:
-    """The output of the head for B images.
+class AnchorAnswers(NamedTuple):
+    """The output of the head for B images, the finest level first.
 
     Attributes:
-        levels: raw numbers of each level, `[B, A, h, w, 5 + classes]`: centre, size, objectness,
-            classes.
-        features: inputs of the head, the finest level first.
+        levels: raw numbers of each level: centre, size, objectness, classes.
+        features: inputs of the head.
     """
 
     levels: list[Float[Tensor, "B A _ _ N"]]
@@ -147,10 +145,11 @@ def anchor_loss(
             # Boxes in units of cells.
             centres, sizes = head._centred(raw, number)
             found = torch.cat([centres[place], sizes[place]], dim=1)
-            cell = torch.stack([positive.column, positive.row], dim=1)
-            own = truth[positive.box] / head.strides_px[number]
-            offset = torch.cat([(own[:, :2] + own[:, 2:]) / 2 - cell, own[:, 2:] - own[:, :2]], 1)
-            missing = complete_box_iou_loss(_corners(found), _corners(offset))
+            offset = box_convert(truth[positive.box] / head.strides_px[number], "xyxy", "cxcywh")
+            offset[:, :2] -= torch.stack([positive.column, positive.row], dim=1)
+            missing = complete_box_iou_loss(
+                *(box_convert(each, "cxcywh", "xyxy") for each in (found, offset))
+            )
             count = truth.new_zeros(images).index_add(0, image, torch.ones_like(missing))
             summed = truth.new_zeros(images).index_add(0, image, missing)
             losses = losses + _BOX_GAIN * gain * summed / count.clamp(min=1)
@@ -166,8 +165,7 @@ def anchor_loss(
     return losses
 
 
-@dataclass(frozen=True)
-class _Positives:
+class _Positives(NamedTuple):
     """The anchors, by cell, that should find each true box of a level."""
 
     box: Int[Tensor, " P"]
@@ -204,8 +202,3 @@ def _cells(height: int, width: int, device: torch.device) -> Float[Tensor, "h w 
         torch.arange(height, device=device), torch.arange(width, device=device), indexing="ij"
     )
     return torch.stack([columns, rows], dim=-1).float()
-
-
-def _corners(centred: Tensor) -> Tensor:
-    halves = centred[:, 2:] / 2
-    return torch.cat([centred[:, :2] - halves, centred[:, :2] + halves], dim=1)

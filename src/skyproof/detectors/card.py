@@ -6,11 +6,11 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Annotated, Any
 
-from msgspec import Meta, Struct
+from msgspec import Meta
 
 from skyproof.detectors.blueprint import Blueprint
 from skyproof.detectors.reference_detectors import detector_folder, reinstalled
-from skyproof.documents import check_document, read_document
+from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import write_json
 from skyproof.ranges import (
@@ -47,26 +47,6 @@ _Word = Annotated[str, Meta(max_length=100)]
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 # The name of the average of all detectors in tables.
 _TAKEN = ("mean",)
-
-
-class _Identity(Struct, frozen=True):
-    settings: dict[str, float] = {}
-
-
-class TrainingRecord(Struct, frozen=True):
-    """The facts about a training that decide whether two trainings are comparable.
-
-    Attributes:
-        identity: settings of the training.
-        images: number of training images.
-        data_sha256, validation_sha256: digests of training and validation images; older cards have
-            none.
-    """
-
-    identity: _Identity = _Identity()
-    images: WholeNumber | None = None
-    data_sha256: Digest = ""
-    validation_sha256: Digest = ""
 
 
 @dataclass(frozen=True)
@@ -113,18 +93,6 @@ class DetectorCard:
 
     def __post_init__(self) -> None:
         check_ranges(self)
-
-    @property
-    def training_record(self) -> TrainingRecord:
-        """The part of `training` by which trainings are compared.
-
-        Raises:
-            StoredFileError: the card of a stranger has another form.
-        """
-        record: TrainingRecord = check_document(
-            self.training, TrainingRecord, f"The card of {self.name}, training", _REMEDY
-        )
-        return record
 
     @property
     def doubts(self) -> list[str]:

@@ -9,11 +9,14 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
+from msgspec import Struct
 
 from skyproof.camouflage.name import CamouflageName
-from skyproof.detectors.card import DetectorCard
+from skyproof.detectors.card import DetectorCard, Digest
+from skyproof.documents import check_document
 from skyproof.errors import ConfigurationError
 from skyproof.layout import Layout
+from skyproof.ranges import WholeNumber
 from skyproof.reproduction.cells import (
     Block,
     Grid,
@@ -255,10 +258,10 @@ def _recipe(training: Training) -> str:
     """How long the detectors were trained, and on how much."""
     told = []
     for name, facts in training.detectors.items():
-        steps = facts.training_record.identity.settings.get("steps")
+        steps = _training_of(facts).identity.settings.get("steps")
         if steps is not None:
             told.append(f"{detector_name(name)} {steps:,.0f} steps")
-    images = next((facts.training_record.images for facts in training.detectors.values()), None)
+    images = next((_training_of(facts).images for facts in training.detectors.values()), None)
     if images is not None:
         told.append(f"{images:,} images")
     return ", ".join(told) or "not recorded"
@@ -276,6 +279,19 @@ def _standing(trainings: Sequence[Training]) -> str:
 
 
 _REMEDY = "put only trainings of one recipe on the same images into one run"
+
+
+class _Identity(Struct, frozen=True):
+    settings: dict[str, float] = {}
+
+
+class _Recipe(Struct, frozen=True):
+    """The part of a card's training by which trainings are compared."""
+
+    identity: _Identity = _Identity()
+    images: WholeNumber | None = None
+    data_sha256: Digest = ""
+    validation_sha256: Digest = ""
 
 
 @dataclass(frozen=True)
@@ -355,8 +371,14 @@ def _refuse_other_data(earlier: Training, training: Training) -> None:
             )
 
 
+def _training_of(card: DetectorCard) -> _Recipe:
+    place = f"The card of {card.name}, training"
+    recipe: _Recipe = check_document(card.training, _Recipe, place, "copy the whole folder again")
+    return recipe
+
+
 def _learnt_from(facts: DetectorCard) -> dict[str, Any]:
-    recipe = facts.training_record
+    recipe = _training_of(facts)
     return {
         "number of training images": recipe.images,
         "training images": recipe.data_sha256,
