@@ -9,7 +9,7 @@ from torch import Tensor
 
 from skyproof.detectors.anchor_head import AnchorAnswers, AnchorHead, anchor_loss
 from skyproof.detectors.common import check_images, check_targets, pad_to_stride
-from skyproof.detectors.detector import Candidates, TrainableDetector
+from skyproof.detectors.detector import Boxes, Candidates, Images, TrainableDetector
 from skyproof.detectors.ultralytics_detectors import build_model, yolov5_architecture
 
 # Anchors of release 7.0 for three levels, chosen on COCO. Six of the nine match a vehicle of 4 m at
@@ -57,9 +57,7 @@ class AnchorDetector(TrainableDetector):
         head.f, head.i, head.type = replaced.f, replaced.i, "AnchorHead"
         self.model.model[-1] = head
 
-    def loss(
-        self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]
-    ) -> Float[Tensor, " B"]:
+    def loss(self, images: Images, targets: Sequence[Boxes]) -> Float[Tensor, " B"]:
         """YOLOv5's own loss per image (`anchor_loss`).
 
         Against an empty truth, no anchor should be an object of any class.
@@ -67,7 +65,7 @@ class AnchorDetector(TrainableDetector):
         check_targets(images, targets)
         return anchor_loss(self._head, self._answers(images), targets)
 
-    def candidates(self, images: Float[Tensor, "B 3 H W"]) -> Candidates:
+    def candidates(self, images: Images) -> Candidates:
         """Every anchor's box, scored by objectness times the score of its best vehicle class."""
         answers = self._answers(images)
         classes = self._head.classes(answers)[..., self.vehicle_classes].amax(dim=-1)
@@ -76,7 +74,7 @@ class AnchorDetector(TrainableDetector):
         return Candidates(boxes, scores, torch.ones_like(scores, dtype=torch.bool))
 
     @torch.no_grad()
-    def pyramid(self, images: Float[Tensor, "B 3 H W"]) -> tuple[list[Tensor], int]:
+    def pyramid(self, images: Images) -> tuple[list[Tensor], int]:
         """See `TrainableDetector.pyramid`; the features are the inputs of the head."""
         levels = self._answers(images).features
         return levels, round(levels[0].shape[-1] * self._head.strides_px[0])

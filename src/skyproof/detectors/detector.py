@@ -11,6 +11,12 @@ from torchvision import ops
 from skyproof.detectors.card import DetectorCard
 from skyproof.detectors.weights import weights_digest
 
+Images = Float[Tensor, "B 3 H W"]
+"""sRGB images in [0, 1]."""
+
+Boxes = Float[Tensor, "_ 4"]
+"""Pixel xyxy, half-open, origin at the top-left corner."""
+
 LOWEST_SCORE = 0.01
 _MOST_DETECTIONS = 100
 SUPPRESSION_IOU = 0.5
@@ -60,7 +66,7 @@ class Detector:
     name: str
     card: DetectorCard
 
-    def detect(self, images: Float[Tensor, "B 3 H W"]) -> list[Detections]:
+    def detect(self, images: Images) -> list[Detections]:
         """Finds vehicles in sRGB images in [0, 1].
 
         Returns:
@@ -94,9 +100,7 @@ class TrainableDetector(nn.Module, Detector):
         """Digest of parameters and buffers; an attack leaves it unchanged."""
         return weights_digest(self)
 
-    def loss(
-        self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]
-    ) -> Float[Tensor, " B"]:
+    def loss(self, images: Images, targets: Sequence[Boxes]) -> Float[Tensor, " B"]:
         """The detector's own training loss per image, normalised (section 3.2).
 
         Each value depends on its image alone; all negatives count; with an empty truth (`[0, 4]`)
@@ -105,16 +109,16 @@ class TrainableDetector(nn.Module, Detector):
         """
         raise NotImplementedError
 
-    def candidates(self, images: Float[Tensor, "B 3 H W"]) -> Candidates:
+    def candidates(self, images: Images) -> Candidates:
         """Boxes and scores before threshold and suppression, differentiable in `images`."""
         raise NotImplementedError
 
-    def pyramid(self, images: Float[Tensor, "B 3 H W"]) -> tuple[list[Tensor], int]:
+    def pyramid(self, images: Images) -> tuple[list[Tensor], int]:
         """The features before any head, the finest level first, and the padded images' width."""
         raise NotImplementedError
 
     @torch.no_grad()
-    def detect(self, images: Float[Tensor, "B 3 H W"]) -> list[Detections]:
+    def detect(self, images: Images) -> list[Detections]:
         """See `Detector.detect`."""
         return _suppress(self.candidates(images), images.shape[-2], images.shape[-1])
 

@@ -15,7 +15,7 @@ from skyproof.detectors.common import (
     check_images,
     check_targets,
 )
-from skyproof.detectors.detector import Candidates, TrainableDetector
+from skyproof.detectors.detector import Boxes, Candidates, Images, TrainableDetector
 from skyproof.detectors.imported_torchvision import build_torchvision
 from skyproof.detectors.torchvision_detectors import TorchvisionDetector
 from skyproof.detectors.ultralytics_detectors import YoloNetwork
@@ -45,9 +45,7 @@ class ImportedDetector(TrainableDetector):
         with torch.random.fork_rng(devices=[]):
             self.network = _network(blueprint)
 
-    def loss(
-        self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]
-    ) -> Float[Tensor, " B"]:
+    def loss(self, images: Images, targets: Sequence[Boxes]) -> Float[Tensor, " B"]:
         """The network's own loss per image against an empty truth, normalised (section 3.2).
 
         Raises:
@@ -61,7 +59,7 @@ class ImportedDetector(TrainableDetector):
             )
         return self.network.loss(self._scaled(images), targets)
 
-    def candidates(self, images: Float[Tensor, "B 3 H W"]) -> Candidates:
+    def candidates(self, images: Images) -> Candidates:
         """See `TrainableDetector.candidates`; boxes in pixels of `images`."""
         found = self.network.candidates(self._scaled(images))
         height, width = self.size_px(images)
@@ -70,7 +68,7 @@ class ImportedDetector(TrainableDetector):
         ).repeat(2)
         return Candidates(found.boxes * ratio, found.scores, found.valid)
 
-    def pyramid(self, images: Float[Tensor, "B 3 H W"]) -> tuple[list[Tensor], int]:
+    def pyramid(self, images: Images) -> tuple[list[Tensor], int]:
         """See `TrainableDetector.pyramid`; of images at the network's resolution."""
         return self.network.pyramid(self._scaled(images))
 

@@ -10,7 +10,7 @@ from torchvision.ops import sigmoid_focal_loss
 
 from skyproof.detectors.blueprint import ARCHITECTURES
 from skyproof.detectors.common import check_targets
-from skyproof.detectors.detector import Candidates
+from skyproof.detectors.detector import Boxes, Candidates, Images
 from skyproof.detectors.torchvision_detectors import (
     POSITIVES_PER_VEHICLE,
     FasterRcnnDetector,
@@ -108,9 +108,7 @@ class ImportedFcos(_Imported):
 
     name = "fcos"
 
-    def loss(
-        self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]
-    ) -> Float[Tensor, " B"]:
+    def loss(self, images: Images, targets: Sequence[Boxes]) -> Float[Tensor, " B"]:
         """torchvision's focal loss of the vehicle classes against an empty truth.
 
         It is divided by the points that one vehicle gets. Centredness has no loss without a vehicle
@@ -121,7 +119,7 @@ class ImportedFcos(_Imported):
         focal = sigmoid_focal_loss(logits, torch.zeros_like(logits))
         return focal.sum(dim=(1, 2)) / POSITIVES_PER_VEHICLE
 
-    def candidates(self, images: Float[Tensor, "B 3 H W"]) -> Candidates:
+    def candidates(self, images: Images) -> Candidates:
         """Every point's box and score."""
         outputs, anchors = self._outputs(images)
         deltas = outputs["bbox_regression"]

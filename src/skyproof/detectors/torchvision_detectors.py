@@ -29,7 +29,7 @@ from skyproof.detectors.common import (
     check_targets,
     pad_to_stride,
 )
-from skyproof.detectors.detector import Candidates, TrainableDetector
+from skyproof.detectors.detector import Boxes, Candidates, Images, TrainableDetector
 from skyproof.detectors.region_align import CentreAlign
 from skyproof.detectors.settings import check_size
 from skyproof.detectors.slim import PYRAMID_CHANNELS, REGION_CHANNELS, SlimBackbone
@@ -75,7 +75,7 @@ class TorchvisionDetector(TrainableDetector):
         return (images - 0.45) / 0.25
 
     @torch.no_grad()
-    def pyramid(self, images: Float[Tensor, "B 3 H W"]) -> tuple[list[Tensor], int]:
+    def pyramid(self, images: Images) -> tuple[list[Tensor], int]:
         """See `TrainableDetector.pyramid`."""
         named, image_list = self._features(images)
         return list(named.values()), image_list.tensors.shape[-1]
@@ -92,9 +92,7 @@ class RetinaNetDetector(TorchvisionDetector):
     def __init__(self, size: str) -> None:
         super().__init__(size, _build_retinanet(size))
 
-    def loss(
-        self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]
-    ) -> Float[Tensor, " B"]:
+    def loss(self, images: Images, targets: Sequence[Boxes]) -> Float[Tensor, " B"]:
         """torchvision's focal and box losses per image.
 
         Each is divided by its image's positive anchors. With an empty truth torchvision does not
@@ -119,7 +117,7 @@ class RetinaNetDetector(TorchvisionDetector):
             losses.append((terms["classification"] + terms["bbox_regression"]) / divisor)
         return torch.stack(losses)
 
-    def candidates(self, images: Float[Tensor, "B 3 H W"]) -> Candidates:
+    def candidates(self, images: Images) -> Candidates:
         """Every anchor's decoded box, with the best sigmoid score among its classes."""
         outputs, anchors = self._outputs(images)
         deltas = outputs["bbox_regression"]
@@ -154,9 +152,7 @@ class FasterRcnnDetector(TorchvisionDetector):
     def __init__(self, size: str) -> None:
         super().__init__(size, _build_faster_rcnn(size))
 
-    def loss(
-        self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]
-    ) -> Float[Tensor, " B"]:
+    def loss(self, images: Images, targets: Sequence[Boxes]) -> Float[Tensor, " B"]:
         """Proposal loss plus region loss per image, deterministic (section 3.2)."""
         check_targets(images, targets)
         features, image_list = self._features(images)
@@ -182,7 +178,7 @@ class FasterRcnnDetector(TorchvisionDetector):
             losses.append(total)
         return torch.stack(losses)
 
-    def candidates(self, images: Float[Tensor, "B 3 H W"]) -> Candidates:
+    def candidates(self, images: Images) -> Candidates:
         """Every proposal's box and score of its best vehicle class; padding rows are not valid."""
         features, image_list = self._features(images)
         *_, proposals = self._proposal_outputs(features, image_list)

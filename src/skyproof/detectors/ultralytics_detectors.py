@@ -26,7 +26,7 @@ from torch.nn import functional
 
 from skyproof.detectors.blueprint import HEADS, check_layers
 from skyproof.detectors.common import check_images, check_targets, pad_to_stride
-from skyproof.detectors.detector import Candidates, TrainableDetector
+from skyproof.detectors.detector import Boxes, Candidates, Images, TrainableDetector
 from skyproof.detectors.settings import check_size
 from skyproof.errors import ConfigurationError
 
@@ -53,7 +53,7 @@ class YoloDetector(TrainableDetector):
     model: Any
     vehicle_classes: Sequence[int]
 
-    def candidates(self, images: Float[Tensor, "B 3 H W"]) -> Candidates:
+    def candidates(self, images: Images) -> Candidates:
         """Every anchor point's box and best sigmoid score."""
         from ultralytics.utils.tal import dist2bbox, dist2rbox, make_anchors
 
@@ -75,7 +75,7 @@ class YoloDetector(TrainableDetector):
         return Candidates(boxes * strides, scores, torch.ones_like(scores, dtype=torch.bool))
 
     @torch.no_grad()
-    def pyramid(self, images: Float[Tensor, "B 3 H W"]) -> tuple[list[Tensor], int]:
+    def pyramid(self, images: Images) -> tuple[list[Tensor], int]:
         """See `TrainableDetector.pyramid`; the features are the inputs of the head."""
         levels = self._outputs(images)["feats"]
         return levels, round(levels[0].shape[-1] * float(self.model.stride.min()))
@@ -118,9 +118,7 @@ class YoloV5Detector(YoloDetector):
         self.model.args = DEFAULT_CFG
         self._criterion: Any = None
 
-    def loss(
-        self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]
-    ) -> Float[Tensor, " B"]:
+    def loss(self, images: Images, targets: Sequence[Boxes]) -> Float[Tensor, " B"]:
         """Ultralytics' own v8DetectionLoss, image by image on one forward pass.
 
         It sums box, class and distribution terms. Its sums are already divided by the target
@@ -170,9 +168,7 @@ class YoloNetwork(YoloDetector):
         self.vehicle_classes = list(vehicle_classes)
         self.model = build_model(architecture)
 
-    def loss(
-        self, images: Float[Tensor, "B 3 H W"], targets: Sequence[Float[Tensor, "_ 4"]]
-    ) -> Float[Tensor, " B"]:
+    def loss(self, images: Images, targets: Sequence[Boxes]) -> Float[Tensor, " B"]:
         """Ultralytics' class loss of the vehicle classes against an empty truth.
 
         It is divided by the points that one vehicle gets. Boxes have no loss without a vehicle. The
