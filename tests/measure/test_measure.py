@@ -10,7 +10,7 @@ from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.card import DetectorCard
 from skyproof.detectors.detector import Detector
 from skyproof.measure import measure as room
-from skyproof.measure.views import View
+from skyproof.measure.views import SceneView
 from skyproof.scenes.weather import draw_weather
 
 
@@ -26,7 +26,7 @@ def view(found, truth, ignore=None, visible=None):
     images = Dataset.of_images(blank, truth, ignore=ignore, gsd_m=0.125)
     if visible is not None:
         images = dataclasses.replace(images, visible_fractions=visible)
-    return View("T-U", images, {"retinanet": found})
+    return SceneView("T-U", images, {"retinanet": found})
 
 
 def compare(scenes, truth, original, adversarial, *, threshold=0.5, visible=None):

@@ -15,7 +15,7 @@ from skyproof.detectors.card import DetectorCard, write_card
 from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
 from skyproof.measure.baseline import BaselineSet
 from skyproof.measure.precheck import precheck, precheck_changes
-from skyproof.measure.views import Change, Stage, views
+from skyproof.measure.views import SceneChange, SceneRenderer, views
 from skyproof.render.dataset import render_dataset
 from skyproof.render.renderer import TorchRenderer
 from skyproof.results.findings import findings, verdict, worst
@@ -190,7 +190,7 @@ def test_a_record_of_another_threshold_tells_nothing_of_a_detector(records, tmp_
 def test_large_scenes_are_seen_in_windows(backgrounds, fleet, scenes, monkeypatch):
     monkeypatch.setattr(inference, "LARGEST_WHOLE_PX", SIZE_PX - 1)
     toy = Toy("toy", scenes, fleet)
-    stage = Stage(fleet, TorchRenderer(backgrounds))
+    stage = SceneRenderer(fleet, TorchRenderer(backgrounds))
     (view,) = views([judging(toy)], scenes, [], stage)
     # Each large picture is looked at alone.
     assert len(toy.contrasts) == len(view.found["toy"]) == 3
@@ -202,8 +202,8 @@ def test_views_are_what_a_dataset_folder_shows(backgrounds, fleet, scenes, tmp_p
     render_dataset(tmp_path / "drawn", scenes, fleet, renderer, camouflage=paint)
     stored = Dataset.open(tmp_path / "drawn")
     toy = Toy("toy", scenes, fleet)
-    stage = Stage(fleet, renderer)
-    before, after = views([judging(toy)], scenes, [Change("paint", paint)], stage)
+    stage = SceneRenderer(fleet, renderer)
+    before, after = views([judging(toy)], scenes, [SceneChange("paint", paint)], stage)
     assert list(after.images.ids) == list(stored.ids)
     for index in range(len(scenes)):
         assert torch.equal(after.images.image(index), stored.image(index))

@@ -19,7 +19,7 @@ from skyproof.measure import views
 from skyproof.measure.baseline import BaselineSet
 from skyproof.measure.measure import measure
 from skyproof.measure.score import score
-from skyproof.measure.views import Change, Stage
+from skyproof.measure.views import SceneChange, SceneRenderer
 from skyproof.render.frames import Frames
 from skyproof.results.merge import merge_counts
 from skyproof.results.pairs.counts import Series
@@ -94,8 +94,8 @@ def scored(tmp_path, make_scene, fleet):
     def call(detectors, original, changed, *, vehicles=1, renderer="torch", **more):
         scenes = some_scenes(make_scene, fleet, len(original), vehicles)
         drawn = Flat(original, *changed.values(), name=renderer)
-        changes = [Change(name, Worn(number)) for number, name in enumerate(changed, 1)]
-        score(detectors, tmp_path / "scores", scenes, changes, Stage(fleet, drawn), **more)
+        changes = [SceneChange(name, Worn(number)) for number, name in enumerate(changed, 1)]
+        score(detectors, tmp_path / "scores", scenes, changes, SceneRenderer(fleet, drawn), **more)
         return [row.json() for row in Results.open(tmp_path / "scores").rows]
 
     return call
@@ -186,10 +186,10 @@ def test_what_cannot_be_measured_is_refused_before_the_long_part(scored, tmp_pat
 )
 def test_two_of_one_name_are_refused(tmp_path, make_scene, fleet, detectors, names, words):
     scenes = some_scenes(make_scene, fleet, 1)
-    changes = [Change(name, Worn(1)) for name in names]
+    changes = [SceneChange(name, Worn(1)) for name in names]
     known = [judging(Brightest(name), 0.5) for name in detectors]
     with pytest.raises(ConfigurationError, match=words):
-        score(known, tmp_path / "scores", scenes, changes, Stage(fleet, Flat([200], [50])))
+        score(known, tmp_path / "scores", scenes, changes, SceneRenderer(fleet, Flat([200], [50])))
 
 
 def test_the_renderer_is_the_stages_own(scored, tmp_path):

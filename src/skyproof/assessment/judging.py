@@ -21,7 +21,7 @@ from skyproof.measure.patterns import add_patterns
 from skyproof.measure.precheck import precheck as measure_precheck
 from skyproof.measure.precheck_words import lines
 from skyproof.measure.score import score as measure_score
-from skyproof.measure.views import Change, Stage
+from skyproof.measure.views import SceneChange, SceneRenderer
 from skyproof.report.report import write_report
 from skyproof.results.precheck import write_precheck
 from skyproof.results.statistics.acceptance import Requirement, fewest_tiles
@@ -149,8 +149,8 @@ def score(
                 its.detectors,
                 out,
                 drawn.scenes,
-                [Change(folder.name, camouflage) for folder, camouflage in worn.items()],
-                Stage(fleet, renderer, its.device),
+                [SceneChange(folder.name, camouflage) for folder, camouflage in worn.items()],
+                SceneRenderer(fleet, renderer, its.device),
                 unchanged=drawn,
                 baselines=read_frames(frames, VEHICLE_CLASSES, its.gsd_m),
                 seed=its.seed,

@@ -18,7 +18,7 @@ from skyproof.ranges import Seed, is_name
 if TYPE_CHECKING:
     import torch
 
-    from skyproof.measure.views import Stage
+    from skyproof.measure.views import SceneRenderer
     from skyproof.scenes.scene import Scene
 
 
@@ -68,7 +68,7 @@ class Score(Rendering):
         from skyproof.measure.frames import read_frames
         from skyproof.measure.patterns import add_patterns
         from skyproof.measure.score import score
-        from skyproof.measure.views import Change
+        from skyproof.measure.views import SceneChange
 
         self._refuse_what_cannot_work()
         refuse_existing(self.out)
@@ -90,7 +90,7 @@ class Score(Rendering):
                 detectors,
                 self.out,
                 scenes,
-                [Change(folder.name, camouflage) for folder, camouflage in worn.items()],
+                [SceneChange(folder.name, camouflage) for folder, camouflage in worn.items()],
                 stage,
                 unchanged=original,
                 baselines=baselines,
@@ -135,20 +135,20 @@ class Score(Rendering):
             )
 
     @contextmanager
-    def _stage(self, device: torch.device) -> Iterator[Stage | None]:
+    def _stage(self, device: torch.device) -> Iterator[SceneRenderer | None]:
         """Yields what the scenes are drawn with; None where none are."""
         if self.backgrounds is None or self.fleet is None or self.original is None:
             yield None
             return
         from skyproof.cycles.opening import open_renderer
-        from skyproof.measure.views import Stage
+        from skyproof.measure.views import SceneRenderer
         from skyproof.scenes.backgrounds import BackgroundSet
         from skyproof.vehicles.fleet import Fleet
 
         backgrounds = BackgroundSet.open(self.backgrounds)
         fleet = Fleet.load(self.fleet)
         with open_renderer(self, backgrounds, self.out) as renderer:
-            yield Stage(fleet, renderer, device)
+            yield SceneRenderer(fleet, renderer, device)
 
     def _sources(self, scenes: Sequence[Scene]) -> list[str]:
         """What the ground of the scenes was cut from, or ["procedural"]; empty without scenes."""

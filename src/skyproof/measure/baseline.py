@@ -15,7 +15,7 @@ from skyproof.detectors.average_precision import (
 from skyproof.detectors.detector import Detector
 from skyproof.detectors.matching import MatchTable
 from skyproof.errors import ConfigurationError
-from skyproof.measure.views import View, look
+from skyproof.measure.views import SceneView, look
 from skyproof.results.baseline import Baseline, BestF1
 from skyproof.results.result import MAIN_MATCH
 from skyproof.results.statistics.intervals import (
@@ -49,7 +49,7 @@ class BaselineSet:
 
 
 def measure_baselines(
-    detectors: Sequence[Detector], images: BaselineSet, view: View | None = None, *, seed: int
+    detectors: Sequence[Detector], images: BaselineSet, view: SceneView | None = None, *, seed: int
 ) -> list[Baseline]:
     """Measures every detector on images without camouflage.
 
@@ -61,7 +61,7 @@ def measure_baselines(
     return [_measure(each, images, view, seed) for each in detectors]
 
 
-def _measure(detector: Detector, images: BaselineSet, view: View, seed: int) -> Baseline:
+def _measure(detector: Detector, images: BaselineSet, view: SceneView, seed: int) -> Baseline:
     generator = numpy_generator(seed)
     centre = view.matched(detector.name, MAIN_MATCH)
     by_place = len(set(images.places)) > 1

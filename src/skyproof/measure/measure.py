@@ -10,7 +10,7 @@ import torch
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.detectors.detector import Detector
 from skyproof.detectors.matching import MatchTable
-from skyproof.measure.views import Change, Stage, View, counter, views
+from skyproof.measure.views import SceneChange, SceneRenderer, SceneView, counter, views
 from skyproof.render.frames import Renderer
 from skyproof.results.pairs.outcomes import MATCHES, Match, Outcome
 from skyproof.scenes.scene import Placement, Scene
@@ -52,8 +52,8 @@ def measure(
         StoredFileError: a tile is missing or damaged.
         RunFolderError: the folder exists, or the disk cannot take it.
     """
-    changes = [Change(name, camouflage) for name, camouflage in camouflages.items()]
-    stage = Stage(fleet, renderer, device)
+    changes = [SceneChange(name, camouflage) for name, camouflage in camouflages.items()]
+    stage = SceneRenderer(fleet, renderer, device)
     if folder is not None:
         from skyproof.measure.score import score
 
@@ -70,8 +70,8 @@ def measure(
 
 def compare(
     scenes: Sequence[Scene],
-    before: View,
-    after: View,
+    before: SceneView,
+    after: SceneView,
     detector: Detector,
     renderer: str,
     matches: Sequence[Match] = MATCHES,

@@ -19,7 +19,7 @@ from skyproof.detectors.detector import Detector
 from skyproof.errors import ConfigurationError
 from skyproof.measure.baseline import BaselineSet, measure_baselines
 from skyproof.measure.measure import compare
-from skyproof.measure.views import Change, Stage, View, counter, views
+from skyproof.measure.views import SceneChange, SceneRenderer, SceneView, counter, views
 from skyproof.randomness import generator_of
 from skyproof.render.renderer import TorchRenderer
 from skyproof.results.pairs.counts import count_cells
@@ -80,7 +80,7 @@ def precheck(
                 "there; give frames with labels, or leave them out."
             )
     changes = precheck_changes(ground_palette(backgrounds), draws=draws, seed=seed)
-    stage = Stage(fleet, TorchRenderer(backgrounds), device)
+    stage = SceneRenderer(fleet, TorchRenderer(backgrounds), device)
     count = counter(progress, len(scenes) * (1 + len(changes)))
     seen = views(detectors, scenes, changes, stage, progress=count)
     before = next(seen)
@@ -109,7 +109,7 @@ def precheck(
     ]
 
 
-def precheck_changes(palette: Float[Tensor, "K 3"], *, draws: int, seed: int) -> list[Change]:
+def precheck_changes(palette: Float[Tensor, "K 3"], *, draws: int, seed: int) -> list[SceneChange]:
     """Makes all changes of a precheck.
 
     `palette` gives the fixed colours of R-Fc and R-PixFc as sRGB in [0, 1]; `seed` decides the
@@ -117,22 +117,25 @@ def precheck_changes(palette: Float[Tensor, "K 3"], *, draws: int, seed: int) ->
     """
     kinds: tuple[tuple[Kind, bool], ...] = (("paint_body", True), ("paint_whole", False))
     changes = [
-        Change(_hex(colour), plain_paint(colour, masked=masked), kind=kind)
+        SceneChange(_hex(colour), plain_paint(colour, masked=masked), kind=kind)
         for kind, masked in kinds
         for colour in LATTICE
     ]
     changes += [
-        Change(_hex(upper) + _hex(lower), two_tone_paint(upper, lower), kind="two_tone")
+        SceneChange(_hex(upper) + _hex(lower), two_tone_paint(upper, lower), kind="two_tone")
         for upper, lower in TWO_TONES
     ]
-    changes += [Change(f"{sigma:g} px", blur_sigma_px=sigma, kind="blur") for sigma in BLURS_PX]
     changes += [
-        Change(name, _control(name, draw, palette, seed), kind="control")
+        SceneChange(f"{sigma:g} px", blur_sigma_px=sigma, kind="blur") for sigma in BLURS_PX
+    ]
+    changes += [
+        SceneChange(name, _control(name, draw, palette, seed), kind="control")
         for name in CONTROLS
         for draw in range(draws)
     ]
     return changes + [
-        Change(f"{angle:g}°", sun_elevation_deg=angle, kind="sun") for angle in SUN_ELEVATIONS_DEG
+        SceneChange(f"{angle:g}°", sun_elevation_deg=angle, kind="sun")
+        for angle in SUN_ELEVATIONS_DEG
     ]
 
 
@@ -149,9 +152,9 @@ def _control(text: str, draw: int, palette: Float[Tensor, "K 3"], seed: int) -> 
 def _rates(
     detectors: Sequence[Detector],
     scenes: Sequence[Scene],
-    changes: Sequence[Change],
-    before: View,
-    changed: Iterable[View],
+    changes: Sequence[SceneChange],
+    before: SceneView,
+    changed: Iterable[SceneView],
     seed: int,
 ) -> dict[str, list[Rate]]:
     """The rates by detector; the draws of one control are averaged and taken as given."""

@@ -11,7 +11,14 @@ from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import finished_folder, write_beside
 from skyproof.measure.baseline import BaselineSet, measure_baselines
 from skyproof.measure.measure import compare
-from skyproof.measure.views import Change, Stage, View, counter, refuse_twice, views
+from skyproof.measure.views import (
+    SceneChange,
+    SceneRenderer,
+    SceneView,
+    counter,
+    refuse_twice,
+    views,
+)
 from skyproof.results.baseline import Baseline
 from skyproof.results.pairs.outcomes import MATCHES, Outcome, write_outcomes
 from skyproof.results.pictures import choose_scenes, draw_scene
@@ -33,8 +40,8 @@ def score(
     detectors: Sequence[Detector],
     folder: str | Path,
     scenes: Sequence[Scene] = (),
-    changes: Sequence[Change] = (),
-    stage: Stage | None = None,
+    changes: Sequence[SceneChange] = (),
+    stage: SceneRenderer | None = None,
     *,
     unchanged: Dataset | None = None,
     baselines: Sequence[BaselineSet] = (),
@@ -95,7 +102,9 @@ def score(
     return outcomes
 
 
-def _refuse_other_rendering(unchanged: Dataset, scenes: Sequence[Scene], stage: Stage) -> None:
+def _refuse_other_rendering(
+    unchanged: Dataset, scenes: Sequence[Scene], stage: SceneRenderer
+) -> None:
     """Pairs may differ in camouflage and in nothing else."""
     vehicles = [len(scene.placements) for scene in scenes]
     if list(unchanged.ids) != [scene.id for scene in scenes] or vehicles != list(
@@ -128,7 +137,7 @@ class _Writer:
         detectors: Sequence[Detector],
         scenes: Sequence[Scene],
         renderer: str,
-        before: View,
+        before: SceneView,
     ) -> None:
         self._folder = folder
         self._detectors = detectors
@@ -150,7 +159,7 @@ class _Writer:
         )
         return measure_baselines(self._detectors, images, self._before, seed=seed)
 
-    def add(self, after: View) -> None:
+    def add(self, after: SceneView) -> None:
         """Compares a view with that of the unchanged scenes."""
         for number, detector in enumerate(self._detectors):
             found = compare(self._scenes, self._before, after, detector, self._renderer)
@@ -168,7 +177,7 @@ class _Writer:
         write_pairs(self._folder, self._pairs)
         return outcomes
 
-    def _set_scores(self, detector: Detector, view: View) -> list[SetScore]:
+    def _set_scores(self, detector: Detector, view: SceneView) -> list[SetScore]:
         rows = []
         for match in MATCHES:
             matches = view.matched(detector.name, match)
@@ -178,7 +187,7 @@ class _Writer:
             rows.append(SetScore(view.name, self._renderer, detector.name, match, ap, per_km2))
         return rows
 
-    def _draw(self, after: View, detector: Detector, outcomes: Sequence[Outcome]) -> None:
+    def _draw(self, after: SceneView, detector: Detector, outcomes: Sequence[Outcome]) -> None:
         """Draws the chosen scenes of one camouflage; all camouflages share those without it."""
         scenes: dict[str, list[Outcome]] = {}
         for outcome in outcomes:
@@ -205,7 +214,11 @@ class _Writer:
             )
 
     def _picture(
-        self, view: View, scene: str, detector: Detector, vehicles: dict[int, tuple[bool, float]]
+        self,
+        view: SceneView,
+        scene: str,
+        detector: Detector,
+        vehicles: dict[int, tuple[bool, float]],
     ) -> str:
         """Draws the detections in one image unless its file exists; returns the file."""
         file = f"{view.name}/{scene}.jpg"

@@ -29,7 +29,7 @@ _BATCH_SIZE = 8
 
 
 @dataclass(frozen=True, eq=False)
-class Change:
+class SceneChange:
     """A change of scenes before they are rendered; None leaves the scene as it is.
 
     Attributes:
@@ -55,7 +55,7 @@ class Change:
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class SceneView:
     """Scenes under one change, and the detections in them.
 
     Attributes:
@@ -79,14 +79,14 @@ class View:
 
 
 @dataclass(frozen=True)
-class Stage:
+class SceneRenderer:
     """Vehicles, renderer and device for scenes."""
 
     fleet: Fleet
     renderer: Renderer
     device: torch.device | str = "cpu"
 
-    def under(self, change: Change) -> Callable[[Sequence[Scene]], Frames]:
+    def under(self, change: SceneChange) -> Callable[[Sequence[Scene]], Frames]:
         """Returns a function that renders scenes under a change; several threads may call it."""
         renderer = self.renderer
         if change.blur_sigma_px is not None:
@@ -111,12 +111,12 @@ class Stage:
 def views(
     detectors: Sequence[Detector],
     scenes: Sequence[Scene],
-    changes: Iterable[Change],
-    stage: Stage,
+    changes: Iterable[SceneChange],
+    stage: SceneRenderer,
     *,
     unchanged: Dataset | None = None,
     progress: Callable[[int], None] | None = None,
-) -> Iterator[View]:
+) -> Iterator[SceneView]:
     """Yields the view of the scenes as they are, then one under each change.
 
     Images have 8 bits a channel, as in files, and those of more than 1024 px a side are split into
@@ -134,7 +134,7 @@ def views(
     """
     _check(detectors, scenes)
     if unchanged is None:
-        before = _render_and_detect(detectors, scenes, Change(ORIGINAL), stage, progress)
+        before = _render_and_detect(detectors, scenes, SceneChange(ORIGINAL), stage, progress)
     else:
         before = look(detectors, ORIGINAL, unchanged)
         if progress:
@@ -146,10 +146,10 @@ def views(
         yield _render_and_detect(detectors, scenes, change, stage, progress)
 
 
-def look(detectors: Sequence[Detector], name: str, images: Dataset) -> View:
+def look(detectors: Sequence[Detector], name: str, images: Dataset) -> SceneView:
     """Runs every detector on existing images."""
     found = detect_by_each(detectors, images)
-    return View(name, images, dict(zip([each.name for each in detectors], found, strict=True)))
+    return SceneView(name, images, dict(zip([each.name for each in detectors], found, strict=True)))
 
 
 def counter(
@@ -171,10 +171,10 @@ def counter(
 def _render_and_detect(
     detectors: Sequence[Detector],
     scenes: Sequence[Scene],
-    change: Change,
-    stage: Stage,
+    change: SceneChange,
+    stage: SceneRenderer,
     progress: Callable[[int], None] | None,
-) -> View:
+) -> SceneView:
     draw = stage.under(change)
     batches = [scenes[start : start + _BATCH_SIZE] for start in range(0, len(scenes), _BATCH_SIZE)]
     gsd_m = scenes[0].camera.gsd_m
@@ -210,7 +210,7 @@ def _render_and_detect(
         gsd_m=gsd_m,
         visible_fractions=visible,
     )
-    return View(change.name, images, found)
+    return SceneView(change.name, images, found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,7 +267,7 @@ def refuse_twice(kind: str, names: Sequence[str]) -> None:
         )
 
 
-def _refuse_blind(detector: Detector, unchanged: View) -> None:
+def _refuse_blind(detector: Detector, unchanged: SceneView) -> None:
     """Without a vehicle found before, there is no share of them that a change hides."""
     matches = unchanged.matched(detector.name, MAIN_MATCH)
     if not matches.vehicles:
