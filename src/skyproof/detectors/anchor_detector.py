@@ -26,9 +26,6 @@ class AnchorDetector(TrainableDetector):
 
     The architecture is checked by `check_layers` and has "anchors" per level. A box gets the best
     score among the vehicle classes. `size` is for tables.
-
-    Raises:
-        ConfigurationError: as `build_model`.
     """
 
     name = "yolov5_anchors"

@@ -25,9 +25,6 @@ def training_batch(
 
     Returns:
         sRGB images in [0, 1], and the vehicle boxes `[n, 4]` of each image, pixel xyxy.
-
-    Raises:
-        StoredFileError: an image file is missing or damaged.
     """
     # Every epoch shuffles the images anew.
     count = len(training)

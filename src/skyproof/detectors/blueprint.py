@@ -204,11 +204,7 @@ def _check_anchors(read: _Architecture, anchors: list[list[float]]) -> None:
 
 
 def plain_architecture(stored: Any) -> dict[str, Any]:
-    """Copies the checkable part of a stranger's architecture: known fields and plain values.
-
-    Raises:
-        ConfigurationError: as `check_layers`.
-    """
+    """Copies the checkable part of a stranger's architecture: known fields and plain values."""
     if not isinstance(stored, Mapping):
         raise ConfigurationError(
             "expected an Ultralytics architecture, got none; give a checkpoint as Ultralytics "

@@ -14,11 +14,7 @@ PADDING_GREY = 0.45
 
 
 def check_images(images: Tensor) -> None:
-    """Refuses images that no detector here can read.
-
-    Raises:
-        ConfigurationError: not `[B, 3, H, W]` with H and W at least 96 px.
-    """
+    """Refuses images that no detector here can read."""
     if images.ndim != 4 or images.shape[1] != 3 or min(images.shape[-2:]) < SMALLEST_IMAGE_PX:
         raise ConfigurationError(
             "A detector expects images [B, 3, H, W] with H and W of at least "
@@ -27,11 +23,7 @@ def check_images(images: Tensor) -> None:
 
 
 def check_targets(images: Tensor, targets: Sequence[Tensor]) -> None:
-    """Refuses targets without one box tensor per image.
-
-    Raises:
-        ConfigurationError: their numbers differ.
-    """
+    """Refuses targets without one box tensor per image."""
     if len(targets) != len(images):
         raise ConfigurationError(
             f"A loss expects one tensor of boxes per image, but got {len(targets)} for "

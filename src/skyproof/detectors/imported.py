@@ -28,10 +28,6 @@ class ImportedDetector(TrainableDetector):
     Images are resampled to the network's resolution with anti-aliasing, and boxes back to that of
     the images. The best vehicle class gives the score, and suppression runs over all vehicle
     classes together.
-
-    Raises:
-        ConfigurationError: Ultralytics is needed and not installed, or the network lacks a vehicle
-            class.
     """
 
     size = "brought"

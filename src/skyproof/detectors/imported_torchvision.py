@@ -31,11 +31,7 @@ _CLASS_ROWS = {
 
 
 def count_classes(architecture: str, state: Mapping[str, Tensor]) -> int:
-    """The number of classes in the weights, Faster R-CNN's background included.
-
-    Raises:
-        ConfigurationError: an unknown architecture, or weights of another one.
-    """
+    """The number of classes in the weights, Faster R-CNN's background included."""
     if architecture not in ARCHITECTURES:
         raise ConfigurationError(
             f"--architecture expects one of {', '.join(ARCHITECTURES)}, got {architecture!r}."

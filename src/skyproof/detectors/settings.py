@@ -17,11 +17,7 @@ DETECTOR_NAMES = ("retinanet", "faster_rcnn", "yolov5", "yolov5_anchors")
 
 
 def check_size(size: str) -> None:
-    """Refuses a size that none of our networks has.
-
-    Raises:
-        ConfigurationError: it is none of `SIZES`.
-    """
+    """Refuses a size that none of our networks has."""
     if size not in SIZES:
         raise ConfigurationError(
             f"expected a detector size out of {', '.join(SIZES)}, got {size[:100]!r}."

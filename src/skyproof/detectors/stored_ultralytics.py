@@ -28,10 +28,6 @@ def read_ultralytics(
 
     `state` loses the anchors of 2020, which become a part of the architecture. `path` is for
     messages.
-
-    Raises:
-        StoredFileError: another kind of network, or one without class names.
-        ConfigurationError: a class does not exist, or the architecture cannot be built here.
     """
     origin = network.origin if isinstance(network, StandIn) else "a state dict"
     if origin not in (*_NETWORKS, *_ANCHOR_NETWORKS):

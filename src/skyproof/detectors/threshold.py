@@ -32,11 +32,7 @@ def validate(detector: Detector, validation: Dataset) -> dict[str, float]:
 
 
 def check_validation(validation: Dataset) -> None:
-    """Refuses images that cannot give a threshold.
-
-    Raises:
-        ConfigurationError: they hold no vehicle.
-    """
+    """Refuses images that cannot give a threshold."""
     if not any(len(boxes) for boxes in validation.boxes):
         raise ConfigurationError(
             "Validation expects at least one vehicle, to choose a threshold by; give images "

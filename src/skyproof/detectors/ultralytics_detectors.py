@@ -97,9 +97,6 @@ class YoloV5Detector(YoloDetector):
     """Ultralytics' YOLOv5u for one class (section 5.3), built without weights and never fused.
 
     Size "slim" is YOLOv5n with 2.5 M parameters, "full" YOLOv5s with 9.1 M.
-
-    Raises:
-        ConfigurationError: ultralytics is not installed, or another size.
     """
 
     name = "yolov5"
@@ -154,11 +151,7 @@ class YoloV5Detector(YoloDetector):
 
 
 class YoloNetwork(YoloDetector):
-    """Any recent Ultralytics YOLO with any classes, without its weights.
-
-    Raises:
-        ConfigurationError: ultralytics is not installed, or it cannot build the network.
-    """
+    """Any recent Ultralytics YOLO with any classes, without its weights."""
 
     name = "yolo"
     size = "brought"
@@ -180,11 +173,7 @@ class YoloNetwork(YoloDetector):
 
 
 def yolov5_architecture(size: str) -> dict[str, Any]:
-    """Gives Ultralytics' YOLOv5n with the layer width of a size.
-
-    Raises:
-        ConfigurationError: ultralytics is not installed, or a size that is none of `SIZES`.
-    """
+    """Gives Ultralytics' YOLOv5n with the layer width of a size."""
     check_size(size)
     with _quiet_import():
         from ultralytics.nn.tasks import yaml_model_load
@@ -196,12 +185,7 @@ def yolov5_architecture(size: str) -> dict[str, Any]:
 
 
 def build_model(architecture: Mapping[str, Any]) -> Any:
-    """Builds a stranger's network, without its weights; `check_layers` describes the architecture.
-
-    Raises:
-        ConfigurationError: as `check_layers`; the network is too large, ultralytics is not
-            installed, or it cannot build the network.
-    """
+    """Builds a stranger's network, checked by `check_layers`, without its weights."""
     check_layers(architecture)
     with _quiet_import():
         from ultralytics.nn.modules.conv import Conv
