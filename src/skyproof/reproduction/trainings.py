@@ -373,8 +373,7 @@ def _refuse_other_data(earlier: Training, training: Training) -> None:
 
 def _training_of(card: DetectorCard) -> _Recipe:
     place = f"The card of {card.name}, training"
-    recipe: _Recipe = check_document(card.training, _Recipe, place, "copy the whole folder again")
-    return recipe
+    return check_document(card.training, _Recipe, place, "copy the whole folder again")
 
 
 def _learnt_from(facts: DetectorCard) -> dict[str, Any]:
