@@ -8,7 +8,7 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -90,7 +90,13 @@ def crop_jobs(
     `ground` is the reflectance of the ground, `windows` come from `crop_windows`.
     """
     low, high = windows[:, :2], windows[:, 2:]
-    rows = _Rows(vehicles, placed)
+    template = {
+        name: getattr(vehicles.template, name).cpu().numpy()
+        for name in ("faces", "face_uvs", "uvs")
+    }
+    vertices = placed.vertices.detach().float().cpu().numpy()
+    textures = _textures(vehicles)
+    labels = material_labels(vehicles).cpu().numpy()
     materials = material_table(settings.finish).numpy()
     scene_of = placed.scene.cpu()
     jobs = []
@@ -118,12 +124,15 @@ def crop_jobs(
                 # The seed is the same with and without camouflage, so that pairs share their noise.
                 "seed": (scene.seed * 31 + number) % 2**31,
             }
+            rows = shared.nonzero()[:, 0].tolist()
             arrays = {
                 "sky": light.sky,
                 "ground": patch,
                 "materials": materials,
-                **rows.template,
-                **rows.of(shared.nonzero()[:, 0].tolist()),
+                **template,
+                "vertices": vertices[rows],
+                "textures": textures[[0] * len(rows) if len(textures) == 1 else rows],
+                "labels": labels[rows],
             }
             name = f"vehicle {number + 1} of {scene.id}"
             jobs.append(Job(name, index, (left, top, right - left, bottom - top), numbers, arrays))
@@ -141,35 +150,12 @@ def _shown(srgb: Float[Tensor, "*S"]) -> np.ndarray:
     return (linear_to_srgb(reflectance(srgb_to_linear(srgb))) * 255).round().byte().numpy()
 
 
-class _Rows:
-    """Vehicles as arrays, converted to bytes once."""
-
-    def __init__(self, vehicles: VehicleBatch, placed: Placed) -> None:
-        self._vehicles, self._placed = vehicles, placed
-        template = vehicles.template
-        self.template = {
-            name: getattr(template, name).cpu().numpy() for name in ("faces", "face_uvs", "uvs")
-        }
-
-    @cached_property
-    def _textures(self) -> np.ndarray:
-        worn = self._vehicles.worn_texture().detach().cpu()
-        if worn.dtype != torch.uint8:
-            return _shown(worn.clamp(0, 1))
-        # Each of the 256 values is computed once: a batch of full maps would take seconds.
-        return np.take(_shown(torch.arange(256) / 255), worn.numpy())
-
-    @cached_property
-    def _labels(self) -> np.ndarray:
-        return material_labels(self._vehicles).cpu().numpy()
-
-    def of(self, rows: list[int]) -> dict[str, np.ndarray]:
-        textures = [0] * len(rows) if len(self._textures) == 1 else rows
-        return {
-            "vertices": self._placed.vertices[rows].detach().float().cpu().numpy(),
-            "textures": self._textures[textures],
-            "labels": self._labels[rows],
-        }
+def _textures(vehicles: VehicleBatch) -> np.ndarray:
+    worn = vehicles.worn_texture().detach().cpu()
+    if worn.dtype != torch.uint8:
+        return _shown(worn.clamp(0, 1))
+    # Each of the 256 values is computed once: a batch of full maps would take seconds.
+    return np.take(_shown(torch.arange(256) / 255), worn.numpy())
 
 
 def _patch(

@@ -1,6 +1,6 @@
 """Samples to pixels: what each vehicle, and its shadow, puts on the pixels of its own window."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -42,33 +42,45 @@ class WindowLayers:
 
 
 @dataclass(frozen=True)
+class _Faces:
+    """Values at the three corners of all faces of all bodies, and each face's texture level."""
+
+    uvs: Float[Tensor, "3 2 M"]
+    normals: Float[Tensor, "3 3 M"]
+    levels: Int[Tensor, " M"]
+    sun_places: Float[Tensor, "3 3 M"] | None
+    sun: SunView | None
+
+    def at(
+        self, row: Int[Tensor, " K"], weights: Float[Tensor, "3 K"], vehicle: Int[Tensor, " K"]
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Texture coordinates, unit normals, texture levels and sunlight at points of faces.
+
+        Sunlight is 1, or 0 behind a part of the vehicle; a single 1 without self-shadows.
+        """
+        uv, normal = _Interpolated.apply(self.uvs, self.normals, row, weights)
+        normal = normal * (normal.square().sum(0) + _TINY).rsqrt()
+        sunlit = weights.new_ones(1)
+        if self.sun is not None and self.sun_places is not None:
+            with torch.no_grad():
+                corners = self.sun_places.flatten(0, 1).index_select(1, row).view(3, 3, -1)
+                sunlit = self.sun.reaches((corners * weights[:, None]).sum(0), vehicle)
+        return uv, normal, self.levels.index_select(0, row), sunlit
+
+
+@dataclass(frozen=True)
 class SeenBodies:
     """The visible surface of bodies without texture; differentiable in the vertices.
 
-    Samples and faces are planes, one channel after the other, as in `at_corners`.
-
-    Attributes:
-        samples: vertices in samples of the windows.
-        uvs, normals: values at the three corners of all faces of all bodies.
-        levels: fitting level of the texture's pyramid, by face.
-        uv, normal, level: values at each sample.
-        sunlit: whether the vehicle lets the sun reach each sample; a single 1 without self-shadows.
-        sun_places, sun: corners as the sun sees them, and its view; None without moving silhouettes
-            or self-shadows.
+    Samples and faces are planes, one channel after the other, as in `at_corners`. `samples` are
+    vertices in samples of the windows, and `surface` holds the values of `_Faces.at` per sample.
     """
 
     visibility: Visibility
     samples: Float[Tensor, "N V 2"]
     depth: Float[Tensor, "N V"]
-    uvs: Float[Tensor, "3 2 M"]
-    normals: Float[Tensor, "3 3 M"]
-    levels: Int[Tensor, " M"]
-    uv: Float[Tensor, "2 K"]
-    normal: Float[Tensor, "3 K"]
-    level: Int[Tensor, " K"]
-    sunlit: Float[Tensor, " _"]
-    sun_places: Float[Tensor, "3 3 M"] | None
-    sun: SunView | None
+    faces: _Faces
+    surface: tuple[Tensor, Tensor, Tensor, Tensor]
 
 
 def see_bodies(
@@ -92,14 +104,13 @@ def see_bodies(
     row = visibility.vehicle * len(template.faces) + visibility.face
     centre = torch.stack((visibility.x, visibility.y)) + 0.5
     weights = _held_weights(corners.flatten(0, 1).index_select(1, row).view(3, 2, -1), centre)
-    surface = _surface(uvs, normals, levels, row, weights)
     sun_places = None if sun is None else sun.places(at_vertices, template.faces)
-    sunlit = _sunlit(sun, sun_places, row, weights, visibility.vehicle)
-    # Both are large, and these may be kept for long.
-    kept = (sun_places, sun) if samples.requires_grad else (None, None)
-    return SeenBodies(
-        visibility, samples, placed.depth, uvs, normals, levels, *surface, sunlit, *kept
-    )
+    faces = _Faces(uvs, normals, levels, sun_places, sun)
+    surface = faces.at(row, weights, visibility.vehicle)
+    if not samples.requires_grad:
+        # Both are large, and buffers may be kept for long.
+        faces = replace(faces, sun_places=None, sun=None)
+    return SeenBodies(visibility, samples, placed.depth, faces, surface)
 
 
 def draw_bodies(
@@ -111,7 +122,8 @@ def draw_bodies(
         Linear colour times coverage (3) and coverage (1) per pixel.
     """
     visibility, factor = seen.visibility, settings.supersampling
-    finest = int(seen.level.min()) if len(seen.level) else 0
+    level = seen.surface[2]
+    finest = int(level.min()) if len(level) else 0
     texture = LinearTexture(vehicles.texture, finest, seen.samples.dtype, vehicles.overlay)
 
     def radiance(
@@ -122,7 +134,7 @@ def draw_bodies(
         diffuse, mirrored = light(normal, lighting, vehicle, sunlit, gloss, settings)
         return torch.addcmul(mirrored, albedo, diffuse)
 
-    colour = radiance(visibility.vehicle, seen.uv, seen.normal, seen.level, seen.sunlit)
+    colour = radiance(visibility.vehicle, *seen.surface)
     layers = _average(visibility, colour, factor)
     # What moving silhouettes change; nothing in value.
     if seen.samples.requires_grad:
@@ -130,39 +142,10 @@ def draw_bodies(
         points = silhouette_points(seen.samples, seen.depth.detach(), faces, visibility)
         with torch.no_grad():
             row = points.vehicle * len(faces) + points.face
-            surface = _surface(seen.uvs, seen.normals, seen.levels, row, points.weights)
-            sunlit = _sunlit(seen.sun, seen.sun_places, row, points.weights, points.vehicle)
-            edge_colour = radiance(points.vehicle, *surface, sunlit)
+            surface = seen.faces.at(row, points.weights, points.vehicle)
+            edge_colour = radiance(points.vehicle, *surface)
         layers = layers + _edges(visibility, points, colour.detach(), edge_colour, factor)
     return layers
-
-
-def _surface(
-    uvs: Float[Tensor, "3 2 M"],
-    normals: Float[Tensor, "3 3 M"],
-    levels: Int[Tensor, " M"],
-    row: Int[Tensor, " K"],
-    weights: Float[Tensor, "3 K"],
-) -> tuple[Float[Tensor, "2 K"], Float[Tensor, "3 K"], Int[Tensor, " K"]]:
-    """Returns texture coordinates, unit normals and texture levels at points of some faces."""
-    uv, normal = _Interpolated.apply(uvs, normals, row, weights)
-    normal = normal * (normal.square().sum(0) + _TINY).rsqrt()
-    return uv, normal, levels.index_select(0, row)
-
-
-@torch.no_grad()
-def _sunlit(
-    sun: SunView | None,
-    places: Float[Tensor, "3 3 M"] | None,
-    row: Int[Tensor, " K"],
-    weights: Float[Tensor, "3 K"],
-    vehicle: Int[Tensor, " K"],
-) -> Float[Tensor, " _"]:
-    """Says which points of some faces the sun sees."""
-    if sun is None or places is None:
-        return weights.new_ones(1)
-    corners = places.flatten(0, 1).index_select(1, row).view(3, 3, -1)
-    return sun.reaches((corners * weights[:, None]).sum(0), vehicle)
 
 
 def draw_shadows(sun: SunView, faces: Int[Tensor, "F 3"]) -> Float[Tensor, "N 1 S S"]:

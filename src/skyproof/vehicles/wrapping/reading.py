@@ -283,13 +283,14 @@ def _picture_and_colour(
         image = None
     # A factor of 1 without a picture is what readers fill in where the file says nothing.
     raw = getattr(material, "baseColorFactor", None)
-    if hasattr(material, "kwargs"):
-        raw = material.diffuse if "kd" in material.kwargs else None
+    given = getattr(material, "kwargs", None)
+    if given is not None:
+        raw = material.diffuse if "kd" in given else None
     opacity = 1.0
-    if hasattr(material, "kwargs") and "d" in material.kwargs:
-        opacity = min(max(float(np.ravel(material.kwargs["d"])[-1]), 0.0), 1.0)
-    elif hasattr(material, "kwargs") and "tr" in material.kwargs:
-        opacity = 1 - min(max(float(np.ravel(material.kwargs["tr"])[-1]), 0.0), 1.0)
+    if given is not None and ("d" in given or "tr" in given):
+        value = given["d"] if "d" in given else given["tr"]
+        opacity = min(max(float(np.ravel(value)[-1]), 0.0), 1.0)
+        opacity = opacity if "d" in given else 1 - opacity
     elif raw is not None and getattr(material, "alphaMode", None) == "BLEND":
         opacity = float(np.asarray(raw, float)[-1] / 255)
     colour = None
