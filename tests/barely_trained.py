@@ -27,7 +27,7 @@ def everything_counts() -> Iterator[None]:
     def lowest(curve: PrecisionRecall) -> tuple[float, float]:
         return LOWEST_SCORE, frozen_threshold(curve)[1]
 
-    with patch("skyproof.detectors.training.frozen_threshold", lowest):
+    with patch("skyproof.detectors.threshold.frozen_threshold", lowest):
         yield
 
 
