@@ -27,7 +27,7 @@ from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.make import make_camouflage
 from skyproof.cycles.opening import open_workers
 from skyproof.cycles.renderer import CyclesRenderer
-from skyproof.cycles.rendering import Rendering
+from skyproof.cycles.settings import Rendering
 from skyproof.detectors.build import build_detector
 from skyproof.device import choose_device
 from skyproof.ground.procedural import write_procedural_backgrounds

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from skyproof.cycles.rendering import Rendering
+from skyproof.cycles.settings import Rendering
 from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS, REFERENCE_FOLDER
 from skyproof.errors import ConfigurationError
 from skyproof.files import alone

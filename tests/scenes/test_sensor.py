@@ -9,7 +9,7 @@ from tests.render.bodies import scene
 
 from skyproof.attacks.world import World
 from skyproof.cycles.opening import open_renderer
-from skyproof.cycles.rendering import Rendering
+from skyproof.cycles.settings import Rendering
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.ground.photograph import GroundSensor
 from skyproof.ground.procedural import write_procedural_backgrounds

@@ -26,7 +26,7 @@ from skyproof.assessment.subject import REFERENCE_GSD_M, Subject
 from skyproof.assessment.suite import SUITE, Suite, read_suite, suite_digest
 from skyproof.console import say
 from skyproof.cycles.blender import find_blender
-from skyproof.cycles.rendering import Rendering
+from skyproof.cycles.settings import Rendering
 from skyproof.detectors.card import read_card
 from skyproof.detectors.reference_detectors import detector_folder
 from skyproof.device import choose_device

@@ -12,7 +12,7 @@ from skyproof.assessment.subject import Subject
 from skyproof.camouflage.folder import load_camouflage
 from skyproof.console import progress_bar, say
 from skyproof.cycles.opening import open_renderer
-from skyproof.cycles.rendering import Rendering
+from skyproof.cycles.settings import Rendering
 from skyproof.datasets.dataset import Dataset
 from skyproof.errors import ConfigurationError, ImageryError
 from skyproof.files import write_json

@@ -11,7 +11,7 @@ from skyproof.assessment.subject import Subject
 from skyproof.camouflage.fleets import draw_fleets
 from skyproof.console import progress_bar, say, stage_bars
 from skyproof.cycles.opening import open_renderer
-from skyproof.cycles.rendering import Rendering
+from skyproof.cycles.settings import Rendering
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.card import write_card
 from skyproof.detectors.import_checkpoint import Checkpoint, import_detector

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from skyproof.console import progress_bar, say
-from skyproof.cycles.rendering import Rendering
+from skyproof.cycles.settings import Rendering
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import Count, Seed
 from skyproof.scenes.settings import SceneSettings

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from tyro.conf import Suppress
 
 from skyproof.console import say
-from skyproof.cycles.rendering import Rendering
+from skyproof.cycles.settings import Rendering
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import Seed, is_name
 

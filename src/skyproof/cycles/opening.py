@@ -8,7 +8,7 @@ from pathlib import Path
 
 from skyproof.cycles.blender import find_blender
 from skyproof.cycles.renderer import CyclesRenderer
-from skyproof.cycles.rendering import Rendering
+from skyproof.cycles.settings import Rendering
 from skyproof.cycles.workers import Workers
 from skyproof.render.frames import Renderer
 from skyproof.render.renderer import TorchRenderer

@@ -1,7 +1,7 @@
 """Close-ups of vehicles on plain ground: for looking, not for measuring."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import torch
 from jaxtyping import Float, UInt8
@@ -58,23 +58,17 @@ def close_up(
 
 
 def portrait(
-    fleet: Fleet,
-    camouflage: Callable[[VehicleBatch], VehicleBatch],
-    *,
-    body_types: Sequence[str] | None = None,
+    fleet: Fleet, camouflage: Callable[[VehicleBatch], VehicleBatch]
 ) -> UInt8[Tensor, "3 H W"]:
     """Draws a sheet of one column per body type, as built and camouflaged, from above and aslant.
 
-    Every picture shows the same square of ground: 6 m a side, or more for longer bodies.
-
-    Args:
-        fleet: shows the first vehicle of each body type.
-        body_types: at most four, in this order; the default is those of the fleet.
+    It shows the first vehicle of at most four body types on one square of ground: 6 m a side, or
+    more for longer bodies.
     """
     first: dict[str, str] = {}
     for name in fleet.ids:
         first.setdefault(name.rpartition("-")[0], name)
-    chosen = [first[body] for body in (body_types or sorted(first)) if body in first][:4]
+    chosen = [first[body] for body in sorted(first)][:4]
     vehicles = fleet.batch(chosen)
     camouflaged = camouflage(vehicles)
     reach_m = float(camouflaged.vertices[..., :2].norm(dim=-1).max())

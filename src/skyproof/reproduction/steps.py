@@ -13,7 +13,7 @@ from skyproof.cli.attack import Attack
 from skyproof.cli.precheck import Precheck
 from skyproof.cli.score import Score
 from skyproof.cli.train import Train
-from skyproof.cycles.rendering import Rendering
+from skyproof.cycles.settings import Rendering
 from skyproof.detectors.settings import TRAINING_PRESETS, TrainingChanges
 from skyproof.layout import Layout
 from skyproof.reproduction.attack_job import AttackJob

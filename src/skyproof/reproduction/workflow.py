@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import Any
 
 from skyproof.assessment.run import START_S, Step
-from skyproof.cycles.rendering import Rendering
+from skyproof.cycles.settings import Rendering
 from skyproof.documents import read_document
 from skyproof.layout import Layout
 from skyproof.reproduction.further_trainings import training_steps

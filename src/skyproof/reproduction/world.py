@@ -12,7 +12,7 @@ from skyproof.assessment.run import START_S, Step
 from skyproof.cli.ground import Ground
 from skyproof.cli.render import Render
 from skyproof.cli.vehicles import Vehicles
-from skyproof.cycles.rendering import Rendering
+from skyproof.cycles.settings import Rendering
 from skyproof.imagery.settings import tiling_for_images
 from skyproof.layout import Layout
 from skyproof.ranges import Count, Fraction, GroundResolution, check_ranges
