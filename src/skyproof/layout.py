@@ -15,26 +15,9 @@ class Layout:
 
     Attributes:
         folder: path of the run folder in the steps of a plan.
-        world: run folder whose ground, vehicles, scenes, images and random draws a further training
-            shares; None for a run, which has its own.
     """
 
     folder: Path
-    world: Path | None = None
-
-    @property
-    def shared(self) -> Layout:
-        """The paths of the run itself, also for a further training."""
-        return self if self.world is None else Layout(self.world)
-
-    @property
-    def trainings(self) -> Path:
-        """The folder of all further trainings of the detectors."""
-        return self.folder / "trainings"
-
-    def training(self, number: int) -> Layout:
-        """The paths of a further training; number 0 is the run itself."""
-        return Layout(self.trainings / str(number), self.folder) if number else self
 
     @property
     def config(self) -> Path:
@@ -64,20 +47,20 @@ class Layout:
     @property
     def backgrounds(self) -> Path:
         """The background set."""
-        return self.shared.folder / "backgrounds"
+        return self.folder / "backgrounds"
 
     @property
     def fleets(self) -> Path:
         """The four fleets."""
-        return self.shared.folder / "fleets"
+        return self.folder / "fleets"
 
     def scenes(self, split: str) -> Path:
         """The scene file of a split."""
-        return self.shared.folder / "scenes" / f"{split}.jsonl"
+        return self.folder / "scenes" / f"{split}.jsonl"
 
     def dataset(self, name: str) -> Path:
         """A rendered dataset: the scenes of a split, perhaps by another renderer."""
-        return self.shared.folder / "datasets" / name
+        return self.folder / "datasets" / name
 
     @property
     def detectors(self) -> Path:
@@ -111,20 +94,6 @@ class Layout:
         return self.scores / name
 
     @property
-    def weather(self) -> Layout:
-        """Scores of the test scenes in weather, apart, because each scene has one weather here."""
-        return Layout(self.folder / "weather")
-
-    @property
-    def judges(self) -> Path:
-        """The folder of held-out detectors and of their scores."""
-        return self.folder / "judges"
-
-    def judged(self, table: str) -> Layout:
-        """The paths of one table of held-out detectors: `detectors` and `scores` alone."""
-        return Layout(self.judges / table)
-
-    @property
     def results(self) -> Path:
         """The rows of all scores, merged."""
         return self.folder / "results.json"
@@ -138,8 +107,3 @@ class Layout:
     def verdict(self) -> Path:
         """The accepted and rejected detectors, if there is a requirement."""
         return self.folder / "verdict.json"
-
-    @property
-    def tables(self) -> Path:
-        """The paper's tables, as Markdown and CSV."""
-        return self.folder / "tables"

@@ -143,7 +143,7 @@ def test_bad_input_is_refused_before_anything_is_written(
     assert not out.exists()
 
 
-def judge(place: Path, images: str, *, name: str = "retinanet") -> Path:
+def detector(place: Path, images: str, *, name: str = "retinanet") -> Path:
     """A detector folder as far as it is read before anything is computed."""
     place.mkdir()
     training = {"images": 60, "data_sha256": images}
@@ -152,9 +152,9 @@ def judge(place: Path, images: str, *, name: str = "retinanet") -> Path:
     return place
 
 
-def test_judges_are_asked_for(tmp_path: Path, skyproof: Skyproof) -> None:
+def test_held_out_detectors_are_asked_for(tmp_path: Path, skyproof: Skyproof) -> None:
     out = tmp_path / "run"
-    first = judge(tmp_path / "first", "photographs")
+    first = detector(tmp_path / "first", "photographs")
     asked = ("reproduce", "--preset", TINY, "--out", out, "--held-out", f"real={first}")
     answer = skyproof(*asked, "--dry-run")
     assert answer.code == 0, answer.err
@@ -167,23 +167,23 @@ def test_judges_are_asked_for(tmp_path: Path, skyproof: Skyproof) -> None:
     assert not out.exists()
 
 
-def test_judges_of_different_images_in_one_table_are_refused(
+def test_held_out_detectors_of_different_images_in_one_table_are_refused(
     tmp_path: Path, skyproof: Skyproof
 ) -> None:
-    first = judge(tmp_path / "first", "photographs")
-    second = judge(tmp_path / "second", "renders", name="faster_rcnn")
+    first = detector(tmp_path / "first", "photographs")
+    second = detector(tmp_path / "second", "renders", name="faster_rcnn")
     given = ("reproduce", "--preset", TINY, "--out", tmp_path / "run", "--held-out", first)
-    skyproof(*given, second).refused("learnt from different images", "photographs", "renders")
+    skyproof(*given, second).refused("have different training images", "photographs", "renders")
     skyproof(*given, tmp_path / "nowhere").refused("nowhere", "detector.json")
     skyproof(*given, f"a b={second}").refused("--held-out", "TABLE=")
     assert not (tmp_path / "run").exists()
 
 
-def test_a_run_keeps_its_judges_and_refuses_others_in_their_place(
+def test_a_run_keeps_its_held_out_detectors_and_refuses_others_in_their_place(
     tmp_path: Path, skyproof: Skyproof, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "run"
-    first = judge(tmp_path / "first", "photographs")
+    first = detector(tmp_path / "first", "photographs")
     monkeypatch.setattr(
         "skyproof.reproduction.snakemake.snakemake_words", stub_snakemake(tmp_path, out)
     )
@@ -195,8 +195,8 @@ def test_a_run_keeps_its_judges_and_refuses_others_in_their_place(
     assert stored.read_text() == (first / "detector.json").read_text()
     # They belong to the run from then on, asked for or not.
     assert "22 steps" in skyproof(*given).out
-    other = judge(tmp_path / "other", "other photographs")
-    skyproof(*given, "--held-out", other).refused("table judges of other judges", "OTHER=")
+    other = detector(tmp_path / "other", "other photographs")
+    skyproof(*given, "--held-out", other).refused("table judges of other detectors", "OTHER=")
     assert "24 steps" in skyproof(*given, "--held-out", f"more={other}").out
 
 

@@ -8,7 +8,8 @@ import pytest
 from PIL import Image
 
 from skyproof.errors import RunFolderError
-from skyproof.reproduction.own_steps import store_features, write_looks
+from skyproof.reproduction.gather_features import store_features
+from skyproof.reproduction.measure_looks import write_looks
 from skyproof.reproduction.stored_features import read_features
 from skyproof.reproduction.stored_looks import read_looks
 

@@ -6,7 +6,7 @@ import pytest
 
 from skyproof.errors import ConfigurationError
 from skyproof.files import write_json
-from skyproof.layout import Layout
+from skyproof.reproduction.layout import PaperLayout
 from skyproof.reproduction.report import write_reproduction_report
 from tests.reproduction.fabricate import DETECTORS, write_scores
 
@@ -41,7 +41,7 @@ def write_cards(layout, weights, **changes):
 def folder(tmp_path):
     """20 tiles of 10 vehicles, all found before; the same share is lost on every tile."""
     for number, rates in RATES.items():
-        layout = Layout(tmp_path).training(number)
+        layout = PaperLayout(tmp_path).training(number)
         write_scores(layout.score("000"), {**rates, **(OTHERS if not number else {})})
         write_cards(layout, str(number))
     return tmp_path
@@ -87,7 +87,7 @@ def test_by_hand(folder):
 
 def test_seeds_are_a_part_of_how_trainings_differ(folder):
     for number, rate in {0: 1.0, 1: 0.8, 2: 0.8}.items():
-        write_scores(Layout(folder).training(number).score("001"), {"T-U-1": rate})
+        write_scores(PaperLayout(folder).training(number).score("001"), {"T-U-1": rate})
     # A seed that one training alone has does not count.
     write_scores(folder / "scores" / "002", {"T-U-2": 0.1})
     row = table(folder)["T-U", "mean"]
@@ -122,7 +122,7 @@ def test_the_page_tells_recipe_and_trainings(folder):
 
 def test_a_run_with_one_training_says_nothing(folder):
     for number in (1, 2):
-        place = Layout(folder).training(number).score("000")
+        place = PaperLayout(folder).training(number).score("000")
         # Trained, and being scored.
         place.rename(place.with_name(".000.partial"))
     write_reproduction_report(folder)
@@ -141,19 +141,19 @@ def test_a_run_with_one_training_says_nothing(folder):
     ],
 )
 def test_trainings_of_other_data_are_refused(folder, changes, word):
-    write_cards(Layout(folder).training(2), "2", **changes)
+    write_cards(PaperLayout(folder).training(2), "2", **changes)
     with pytest.raises(ConfigurationError, match=f"^Trainings 0 and 2 of retinanet .*{word}"):
         write_reproduction_report(folder)
 
 
 def test_one_training_twice_is_refused(folder):
-    write_cards(Layout(folder).training(2), "1")
+    write_cards(PaperLayout(folder).training(2), "1")
     with pytest.raises(ConfigurationError, match="Trainings 1 and 2 of retinanet have the same"):
         write_reproduction_report(folder)
 
 
 def test_scores_of_other_vehicles_are_refused(folder):
-    place = Layout(folder).training(1).score("000")
+    place = PaperLayout(folder).training(1).score("000")
     place.rename(folder / "kept")
     write_scores(place, RATES[1], tiles=19)
     with pytest.raises(ConfigurationError, match="Training 1 was not scored on the vehicles"):

@@ -8,8 +8,8 @@ import pytest
 
 from skyproof.detectors.card import read_card
 from skyproof.errors import ConfigurationError
-from skyproof.layout import Layout
 from skyproof.reproduction.command import Reproduce
+from skyproof.reproduction.layout import PaperLayout
 from skyproof.reproduction.report import write_reproduction_report
 from tests.barely_trained import everything_counts
 
@@ -29,7 +29,7 @@ def test_two_trainings(tmp_path):
     folder = tmp_path / "run"
     with everything_counts():
         Reproduce(str(preset), folder, cores=1).run()
-    layout = Layout(folder)
+    layout = PaperLayout(folder)
     further = layout.training(1)
     cards = [read_card(place.detector("retinanet")) for place in (layout, further)]
     facts = ("images", "data_sha256", "validation_sha256")

@@ -14,8 +14,8 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from skyproof.generator.fleet import LearntVehicle
 from skyproof.generator.maps import part_map, texture_map, vertices_of
-from skyproof.generator.sample import Sample
 from skyproof.vehicles.template import COLUMNS, RINGS
 from skyproof.vehicles.vehicle import Part
 
@@ -89,20 +89,20 @@ class AdversarialGenerator:
         self.network = network.eval()
 
     @torch.no_grad()
-    def decode(self, latent: Float[Tensor, " 32"]) -> Sample:
+    def decode(self, latent: Float[Tensor, " 32"]) -> LearntVehicle:
         """Makes the vehicle that a latent vector stands for."""
         albedo, shares, moved = self.network(latent[None])
         parts = part_map(shares[0])
         vertices = vertices_of(self.network.grid(moved)[0])
         # It stands on the ground.
         vertices[:, 2] -= vertices[:, 2].min()
-        return Sample("learnt", vertices, texture_map(albedo[0], shares[0], parts), parts)
+        return LearntVehicle("learnt", vertices, texture_map(albedo[0], shares[0], parts), parts)
 
-    def sample(self, generator: torch.Generator) -> Sample:
+    def sample(self, generator: torch.Generator) -> LearntVehicle:
         """Makes a vehicle."""
         return self.decode(torch.randn(LATENT, generator=generator))
 
-    def between(self, count: int, generator: torch.Generator) -> list[Sample]:
+    def between(self, count: int, generator: torch.Generator) -> list[LearntVehicle]:
         """Makes two vehicles, and gives so many on the way from one to the other.
 
         The way is an arc, on which latent vectors stay as long as those that were trained on.

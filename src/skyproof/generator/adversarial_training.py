@@ -90,13 +90,7 @@ def learn_adversarially(
 ) -> AdversarialGenerator:
     """Trains the network; a stopped training goes on from its last checkpoint.
 
-    Args:
-        vehicles: fitted ones.
-        settings: steps, batch and learning rate.
-        folder: gets `steps.jsonl`, `previews/` and checkpoints.
-        seed: decides weights and draws.
-        device: where the networks are trained.
-        on_step: called with each row of `steps.jsonl`.
+    `folder` gets `steps.jsonl`, `previews/` and checkpoints, `on_step` each row of `steps.jsonl`.
     """
     grids = half_grid(vehicles.vertices)
     mean = grids.mean(0, keepdim=True)

@@ -17,37 +17,31 @@ from skyproof.vehicles.bodies import BodyDimensions
 from skyproof.vehicles.vehicle import TEXTURE_SIZE
 
 LARGEST_MISFIT = 0.05
-"""Mean difference in sRGB from which on a fit is dropped: what stands there is no such vehicle, or
-half of it is hidden. Drawn vehicles are fitted to 0.004 to 0.026."""
+"""Largest mean difference in sRGB of a fit that is kept. Drawn vehicles are fitted to 0.004 to
+0.026; beyond it stands another object, or half of the vehicle is hidden."""
 
-_ALONG = {
-    "length",
-    "wheelbase",
-    "front_overhang",
-    "bonnet_length",
-    "windscreen_run",
-    "rear_run",
-    "deck_length",
-}
-_ACROSS = {"width", "tumblehome"}
+_ALONG = (
+    *("length", "wheelbase", "front_overhang", "bonnet_length"),
+    *("windscreen_run", "rear_run", "deck_length"),
+)
+_ACROSS = ("width", "tumblehome")
 
 
 @dataclass(frozen=True)
 class Fit:
-    """What a photographed vehicle was found to be.
+    """The fit of a photographed vehicle.
 
     Attributes:
-        id: of the photographed vehicle.
-        prototype: number of the body it was fitted with.
-        reversed: whether the nose points against the heading that was given.
-        shift_m: along and across the vehicle, from the place that was given.
-        turn_rad: from the heading that was given.
+        prototype: number of the fitted body.
+        reversed: whether the nose points against the given heading.
+        shift_m: shift along and across the vehicle, from the given place.
+        turn_rad: turn from the given heading.
         stretch: factors of the body's length and width.
         paint, glass: sRGB.
-        detail: what the left half of the map, mirrored, has on top of the coloured layers, sRGB.
-        seen: how much each of its texels changes the picture, in parts of the most.
+        detail: left half of the map on top of the coloured layers, sRGB.
+        seen: how much each of its texels changes the picture, relative to the largest.
         misfit: mean difference of the two pictures in sRGB, where the vehicle is shown.
-        runner_up: misfit of the best candidate with the nose at the other end, less that of the
+        runner_up: misfit of the best candidate with the nose at the other end, minus that of the
             chosen one, both before the texture was fitted.
     """
 
@@ -65,6 +59,9 @@ class Fit:
     runner_up: float
 
 
+_STORED = tuple(field.name for field in fields(Fit) if field.name != "id")
+
+
 class Fits:
     """Fits in the order of their vehicles; a part of the loop that makes them."""
 
@@ -77,49 +74,27 @@ class Fits:
 
     def add(self, fit: Fit) -> None:
         """Takes the next one."""
-        self._rows.append(
-            {
-                "prototype": torch.tensor(fit.prototype),
-                "reversed": torch.tensor(fit.reversed),
-                "shift_m": torch.tensor(fit.shift_m),
-                "turn_rad": torch.tensor(fit.turn_rad),
-                "stretch": torch.tensor(fit.stretch),
-                "paint": fit.paint,
-                "glass": fit.glass,
-                "detail": fit.detail,
-                "seen": fit.seen,
-                "misfit": torch.tensor(fit.misfit),
-                "runner_up": torch.tensor(fit.runner_up),
-            }
-        )
+        self._rows.append({name: torch.as_tensor(getattr(fit, name)) for name in _STORED})
 
     def fit(self, index: int) -> Fit:
         """Gives one of them."""
-        row = self._rows[index]
         values: dict[str, Any] = {}
-        for each in fields(Fit):
-            if each.name == "id":
-                values["id"] = self._ids[index]
-            elif row[each.name].ndim == 0:
-                values[each.name] = row[each.name].item()
-            elif each.name in ("shift_m", "stretch"):
-                values[each.name] = tuple(row[each.name].tolist())
-            else:
-                values[each.name] = row[each.name]
-        return Fit(**values)
+        for name, value in self._rows[index].items():
+            pair = name in ("shift_m", "stretch")
+            values[name] = tuple(value.tolist()) if pair else value if value.ndim else value.item()
+        return Fit(self._ids[index], **values)
 
     def state_dict(self) -> dict[str, Any]:
         """Gives all rows, in one tensor for each value."""
-        if not self._rows:
-            return {}
-        return {name: torch.stack([row[name] for row in self._rows]) for name in self._rows[0]}
+        stored = _STORED if self._rows else ()
+        return {name: torch.stack([row[name] for row in self._rows]) for name in stored}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Takes over what `state_dict` gave."""
-        count = len(next(iter(state_dict.values()))) if state_dict else 0
+        rows = zip(*state_dict.values(), strict=True)
         self._rows = [
-            {name: values[index].clone() for name, values in state_dict.items()}
-            for index in range(count)
+            {name: value.clone() for name, value in zip(state_dict, row, strict=True)}
+            for row in rows
         ]
 
 
@@ -128,14 +103,12 @@ class FittedVehicles:
     """What a generator learns from: one row per vehicle that was fitted well.
 
     Attributes:
-        body_types: such as "saloon".
-        dimensions: in metres, as stretched by the fit.
-        paint, glass: sRGB.
-        detail: on top of the coloured layers, left half, sRGB.
+        dimensions: dimensions in metres, as stretched by the fit.
+        detail: left half of the map on top of the coloured layers, sRGB.
         seen: how much of each of its texels the photograph shows, 0 to 1.
-        albedo: the whole map as it was fitted, left half, sRGB.
-        parts: the share of each part in every texel, left half.
-        vertices: of the fitted body, metres, vehicle axes.
+        albedo: left half of the whole fitted map, sRGB.
+        parts: share of each part in every texel, left half.
+        vertices: surface of the fitted body, metres, vehicle axes.
     """
 
     body_types: tuple[str, ...]
@@ -171,23 +144,16 @@ def fitted_vehicles(fits: Sequence[Fit], prototypes: Sequence[Prototype]) -> Fit
             stretched(prototype.dimensions, *fit.stretch)
             for fit, prototype in zip(fits, chosen, strict=True)
         ),
-        torch.stack([fit.paint for fit in fits]),
-        torch.stack([fit.glass for fit in fits]),
-        torch.stack([fit.detail for fit in fits]),
-        torch.stack([fit.seen for fit in fits]),
-        torch.stack(albedo),
-        torch.stack(parts),
-        torch.stack(vertices),
+        *(
+            torch.stack([getattr(fit, name) for fit in fits])
+            for name in ("paint", "glass", "detail", "seen")
+        ),
+        *map(torch.stack, (albedo, parts, vertices)),
     )
 
 
 def fitted_texture(fit: Fit, prototype: Prototype) -> Float[Tensor, "3 512 512"]:
-    """Gives the texture that a vehicle was fitted with, sRGB in [0, 1].
-
-    Args:
-        fit: of the vehicle.
-        prototype: the body that it was fitted with.
-    """
+    """Gives the texture of a fit on its body, sRGB in [0, 1]."""
     detail = unfolded(fit.detail[None], TEXTURE_SIZE)[0]
     return (prototype.layers.coloured(fit.paint, fit.glass) + detail).clamp(0.0, 1.0)
 

@@ -3,12 +3,40 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
 
-from skyproof.generator.sample import Sample, VehicleGenerator
 from skyproof.vehicles.fleet import Fleet, FleetSettings, exact_share
 from skyproof.vehicles.template import make_template
+
+
+@dataclass(frozen=True)
+class LearntVehicle:
+    """A vehicle on the shared template; its body type stands before the last hyphen of its id."""
+
+    body_type: str
+    vertices: Float[Tensor, "V 3"]
+    texture: UInt8[Tensor, "3 512 512"]
+    parts: UInt8[Tensor, "512 512"]
+
+
+@runtime_checkable
+class VehicleGenerator(Protocol):
+    """Draws vehicles like those it learnt from; `method` is its name in a folder."""
+
+    method: str
+
+    def sample(self, generator: torch.Generator) -> LearntVehicle:
+        """Draws a vehicle; the same state of the generator gives the same one."""
+        ...
+
+    def between(self, count: int, generator: torch.Generator) -> list[LearntVehicle]:
+        """Draws two vehicles, and gives so many on the way from one to the other, ends included."""
+        ...
 
 
 def sample_learnt_fleet(
@@ -20,12 +48,8 @@ def sample_learnt_fleet(
 ) -> Fleet:
     """Draws a fleet like any other: every camouflage, mask, renderer and table takes it.
 
-    Args:
-        vehicles: what `load_generator` gives.
-        settings: how many, the number of the first, and which shares wear random patterns and
-            shapes. Body types and other paints are the generator's own.
-        generator: CPU generator; the same state gives the same fleet, byte for byte.
-        progress: called with (vehicles done, vehicles in all).
+    Body types and paints are the generator's own; the settings add random patterns and shapes. The
+    same state of the CPU generator gives the same fleet, byte for byte.
     """
     samples = []
     for number in range(settings.count):
@@ -40,14 +64,8 @@ def sample_learnt_fleet(
     return fleet
 
 
-def fleet_of(samples: Sequence[Sample], method: str, first_number: int = 0) -> Fleet:
-    """Makes a fleet of samples.
-
-    Args:
-        samples: by one generator.
-        method: its kind.
-        first_number: number of the first vehicle.
-    """
+def fleet_of(samples: Sequence[LearntVehicle], method: str, first_number: int = 0) -> Fleet:
+    """Makes a fleet of the samples of one generator."""
     ids = tuple(
         f"{sample.body_type}-{number:04d}" for number, sample in enumerate(samples, first_number)
     )

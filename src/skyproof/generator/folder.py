@@ -24,13 +24,7 @@ _REMEDY = "copy the whole folder again, or learn the vehicles again"
 
 @dataclass(frozen=True)
 class _Description:
-    """What `generator.json` holds.
-
-    Attributes:
-        method: which kind of generator.
-        body_types: of the vehicles that a layered one starts from, in their order.
-        record: how it was learnt.
-    """
+    """The content of `generator.json`; body types are those of a layered generator's vehicles."""
 
     format: int
     method: Method
@@ -44,15 +38,8 @@ def save_generator(
     """Writes a generator; `generator.json` comes last."""
     write_tensors(folder / "generator.safetensors", generator.tensors())
     types = generator.body_types if isinstance(generator, LayeredGenerator) else ()
-    write_json(
-        folder / "generator.json",
-        {
-            "format": FORMAT_VERSION,
-            "method": generator.method,
-            "body_types": list(types),
-            "record": record,
-        },
-    )
+    description = {"format": FORMAT_VERSION, "method": generator.method, "body_types": list(types)}
+    write_json(folder / "generator.json", description | {"record": record})
 
 
 def load_generator(folder: str | Path) -> LayeredGenerator | AdversarialGenerator:
@@ -74,11 +61,7 @@ def load_generator(folder: str | Path) -> LayeredGenerator | AdversarialGenerato
 
 
 def read_generator_record(folder: str | Path) -> dict[str, Any]:
-    """Says how a generator was learnt.
-
-    Raises:
-        StoredFileError: the folder is missing, damaged or of another version.
-    """
+    """Reads how a generator was learnt."""
     return _described(Path(folder)).record
 
 

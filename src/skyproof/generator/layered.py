@@ -14,8 +14,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from skyproof.generator.fits import FittedVehicles
+from skyproof.generator.fleet import LearntVehicle
 from skyproof.generator.maps import MAP_PX, unfolded
-from skyproof.generator.sample import Sample
 from skyproof.geometry.colour import cielab_to_srgb, srgb_to_cielab
 from skyproof.randomness import generator_of
 from skyproof.vehicles.bodies import BODY_RANGES, BodyDimensions
@@ -113,7 +113,7 @@ class LayeredGenerator:
         rest = torch.lerp(self.latents[start, bodies:], self.latents[other, bodies:], part)
         return body_type, torch.cat((body, rest))
 
-    def decode(self, body_type: str, latent: Float[Tensor, " L"], seed: int) -> Sample:
+    def decode(self, body_type: str, latent: Float[Tensor, " L"], seed: int) -> LearntVehicle:
         """Draws the vehicle that a latent vector stands for.
 
         Args:
@@ -132,19 +132,19 @@ class LayeredGenerator:
         half = detail.view(1, 3, MAP_PX, MAP_PX // 2)
         on_top = unfolded(half, TEXTURE_SIZE)[0]
         texture = (drawn.float() / 255 + on_top).clamp(0.0, 1.0)
-        return Sample(
+        return LearntVehicle(
             body_type,
             body.vertices,
             (texture * 255).round().to(torch.uint8),
             parts,
         )
 
-    def sample(self, generator: torch.Generator) -> Sample:
+    def sample(self, generator: torch.Generator) -> LearntVehicle:
         """Draws a vehicle."""
         body_type, latent = self.sample_latent(generator)
         return self.decode(body_type, latent, int(torch.randint(2**31, (), generator=generator)))
 
-    def between(self, count: int, generator: torch.Generator) -> list[Sample]:
+    def between(self, count: int, generator: torch.Generator) -> list[LearntVehicle]:
         """Draws two vehicles of one type, and gives so many on the way from one to the other."""
         body_type, first = self.sample_latent(generator)
         _, last = self.sample_latent(generator, body_type=body_type)

@@ -23,9 +23,9 @@ class Layers:
     """A texture whose two main colours are left open: rest + paint share * paint + ...
 
     Attributes:
-        rest: sRGB of what is neither; tyres, trim, lamps and dust.
-        paint_share: how much of the body's paint a texel shows.
-        glass_share: how much of the panes' colour.
+        rest: sRGB of tyres, trim, lamps and dust.
+        paint_share: share of the body's paint in a texel.
+        glass_share: share of the panes' colour.
     """
 
     rest: Float[Tensor, "*N 3 S S"]
@@ -35,15 +35,11 @@ class Layers:
     @classmethod
     def stacked(cls, layers: Sequence[Layers]) -> Layers:
         """Puts those of several textures together."""
-        return cls(
-            torch.stack([each.rest for each in layers]),
-            torch.stack([each.paint_share for each in layers]),
-            torch.stack([each.glass_share for each in layers]),
-        )
+        return cls(*(torch.stack(values) for values in zip(*map(_tensors, layers), strict=True)))
 
     def rows(self, index: Int[Tensor, " M"]) -> Layers:
         """Gives some of several textures."""
-        return Layers(self.rest[index], self.paint_share[index], self.glass_share[index])
+        return Layers(*(values[index] for values in _tensors(self)))
 
     def coloured(
         self, paint: Float[Tensor, "*N 3"], glass: Float[Tensor, "*N 3"]
@@ -58,24 +54,18 @@ class Layers:
     def at_side(self, side_px: int) -> Layers:
         """Gives the same layers on a coarser map: means of texels."""
         factor = self.rest.shape[-1] // side_px
-        return Layers(
-            F.avg_pool2d(self.rest, factor),
-            F.avg_pool2d(self.paint_share, factor),
-            F.avg_pool2d(self.glass_share, factor),
-        )
+        return Layers(*(F.avg_pool2d(values, factor) for values in _tensors(self)))
+
+
+def _tensors(layers: Layers) -> tuple[Tensor, Tensor, Tensor]:
+    return layers.rest, layers.paint_share, layers.glass_share
 
 
 @dataclass(frozen=True)
 class Prototype:
     """A body that was drawn by the rules of `skyproof vehicles`.
 
-    Attributes:
-        body_type: such as "saloon".
-        dimensions: what it was built from.
-        seed: decides trim, pillars and roof; with the dimensions it gives the same body again.
-        vertices: metres, vehicle axes.
-        layers: its texture.
-        parts: values of `Part`.
+    The seed decides trim, pillars and roof. Vertices are in metres and vehicle axes.
     """
 
     body_type: str

@@ -14,11 +14,10 @@ from torch import Tensor
 from skyproof.files import write_beside
 from skyproof.generator.fits import LARGEST_MISFIT, Fit, fitted_texture
 from skyproof.generator.fitting import Fitter
-from skyproof.generator.fleet import fleet_of, sample_learnt_fleet
+from skyproof.generator.fleet import VehicleGenerator, fleet_of, sample_learnt_fleet
 from skyproof.generator.maps import whole
 from skyproof.generator.photographed import Photographed, shown_pixels
 from skyproof.generator.prototypes import Prototype
-from skyproof.generator.sample import VehicleGenerator
 from skyproof.randomness import generator_of
 from skyproof.render.portrait import close_up
 from skyproof.render.turntable import PART_COLOURS

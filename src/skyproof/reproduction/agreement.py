@@ -9,9 +9,8 @@ import itertools
 import math
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -19,16 +18,15 @@ from jaxtyping import Float, Int
 from scipy import stats
 
 from skyproof.camouflage.name import CamouflageName
-from skyproof.errors import ConfigurationError
 from skyproof.reproduction.cells import (
     Block,
     Grid,
     Heading,
     Part,
     Table,
-    bracket,
     interval_cells,
     number,
+    rate,
 )
 from skyproof.reproduction.paper_results import ON_BLENDER, ON_RENDERER, PAPER_RESULTS
 from skyproof.reproduction.reproduction import Reproduction, point_name
@@ -48,7 +46,7 @@ class Agreement:
 
     Attributes:
         attacks: names, in the second order of falling success.
-        ours, theirs: EASR per attack in either: ours as fractions, the paper's in percent.
+        ours, theirs: EASR per attack in either order.
         spearman, kendall: rank correlations (Kendall's tau-b), 1 for the same order, −1 for the
             reverse, with the 95 % percentile interval over resampled tiles.
     """
@@ -63,44 +61,34 @@ class Agreement:
 def rank_agreement(
     tiles: OutcomeCounts,
     paper: Mapping[str, float],
+    rows: Mapping[str, str] = MappingProxyType({}),
     *,
-    rows: Mapping[str, str] | None = None,
-    generator: np.random.Generator,
     renderer: str = RENDERER,
-) -> Agreement:
+) -> Agreement | None:
     """Gives the rank correlation between our EASRs and the paper's over the attacks both have.
 
-    An attack whose row is another one's, such as a combination whose best magnitude is 0 and that
-    is its texture, counts once, as that. Ours are means over repeats and detectors. The interval
-    says how far the test scenes alone could move the correlation: ours vary over resampled tiles;
-    vehicles, seeds and draws, and the paper's numbers, which come without intervals, stay fixed.
+    An attack whose row is another one's, such as a combination whose best magnitude is 0, counts
+    once, as that. Ours are means over repeats and detectors, and vary over resampled tiles alone.
 
     Args:
         tiles: our counts.
-        paper: EASR by attack, e.g. {name: result.easr for name, result in PAPER_RESULTS.items()}.
-        rows: our row for an attack where its name differs, e.g. {"S-O": "S-O@0.4"} at the magnitude
-            to compare.
+        paper: EASR by attack.
+        rows: our row for an attack if its name differs, such as {"S-O": "S-O@0.4"}.
+        renderer: the renderer of our counts.
 
-    Raises:
-        ConfigurationError: fewer than three attacks are shared, or one of them is undefined.
+    Returns:
+        None for fewer than three attacks, or if an EASR is undefined.
     """
-    # The attacks that both have, the paper's most successful one first.
-    rows = rows or {}
+    # The paper's most successful attack comes first.
     series = _pooled(tiles, renderer)
     shared = [
         name
         for name in sorted(paper, key=lambda name: -paper[name])
         if rows.get(name, name) in series and not is_copy(name, rows, paper)
     ]
-    if len(shared) < _FEWEST:
-        raise ConfigurationError(
-            f"A rank correlation with the paper expects at least {_FEWEST} attacks that it has "
-            f"too, got {len(shared)}."
-        )
-
-    # Ours vary over resampled tiles; the paper's are the same in every replicate.
-    sample = Sample.draw(tiles.cells, generator=generator)
-    ours, drawn = _easr({name: series[rows.get(name, name)] for name in shared}, sample)
+    sample = Sample.draw(tiles.cells, generator=np.random.default_rng(0))
+    ours, drawn = _easr([series[rows.get(name, name)] for name in shared], sample)
+    # The paper's are the same in every replicate.
     theirs = np.array([paper[name] for name in shared])
     return _agreement(shared, ours, theirs, drawn, np.tile(theirs, (len(drawn), 1)))
 
@@ -111,52 +99,33 @@ def is_copy(name: str, rows: Mapping[str, str], names: Collection[str]) -> bool:
     return row != name and row in names
 
 
-def renderer_agreement(
-    tiles: OutcomeCounts,
-    names: Iterable[str],
-    *,
-    generator: np.random.Generator,
-) -> Agreement:
+def renderer_agreement(tiles: OutcomeCounts, names: Iterable[str]) -> Agreement | None:
     """Gives the rank correlation between the EASRs under both renderers, Cycles the second.
 
-    It is over the attacks that were scored under both. Repeats that only one renderer has are left
-    out. Both vary over the same resampled tiles: they show the same scenes. The rest stays fixed.
+    Repeats that only one renderer has are left out. Both vary over the same resampled tiles.
 
     Args:
         tiles: counts under both.
         names: names of the attacks to compare, without repeats.
 
-    Raises:
-        ConfigurationError: fewer than three attacks are shared, or one of them is undefined.
+    Returns:
+        None for fewer than three attacks, or if an EASR is undefined.
     """
-    # The counts that exist under both renderers, and the attacks in them.
     both = [
         all(key._replace(renderer=renderer) in tiles.series for renderer in (RENDERER, CYCLES))
         for key in tiles.series
     ]
     paired = OutcomeCounts(tiles.cells, dict(itertools.compress(tiles.series.items(), both)))
-    pooled = [_pooled(paired, renderer) for renderer in (RENDERER, CYCLES)]
-    shared = [name for name in names if all(name in series for series in pooled)]
-    if len(shared) < _FEWEST:
-        raise ConfigurationError(
-            f"A rank correlation of two renderers expects at least {_FEWEST} attacks scored under "
-            f"both, got {len(shared)}."
-        )
-
-    # EASR under either renderer, on the same resampled tiles.
-    sample = Sample.draw(tiles.cells, generator=generator)
-    first, second = pooled
-    ours, drawn_ours = _easr({name: first[name] for name in shared}, sample)
-    theirs, drawn_theirs = _easr({name: second[name] for name in shared}, sample)
-
+    first, second = (_pooled(paired, renderer) for renderer in (RENDERER, CYCLES))
+    shared = [name for name in names if name in first and name in second]
+    sample = Sample.draw(tiles.cells, generator=np.random.default_rng(0))
+    ours, drawn_ours = _easr([first[name] for name in shared], sample)
+    theirs, drawn_theirs = _easr([second[name] for name in shared], sample)
     # In the second renderer's order of falling success.
     order = np.argsort(-theirs, kind="stable")
+    names = [shared[place] for place in order]
     return _agreement(
-        [shared[place] for place in order],
-        ours[order],
-        theirs[order],
-        drawn_ours[:, order],
-        drawn_theirs[:, order],
+        names, ours[order], theirs[order], drawn_ours[:, order], drawn_theirs[:, order]
     )
 
 
@@ -172,26 +141,15 @@ def _pooled(tiles: OutcomeCounts, renderer: str) -> dict[str, list[Int[np.ndarra
 
 
 def _easr(
-    series: Mapping[str, Sequence[Int[np.ndarray, "N 3"]]], sample: Sample
+    attacks: Sequence[Sequence[Int[np.ndarray, "N 3"]]], sample: Sample
 ) -> tuple[Float[np.ndarray, " A"], Float[np.ndarray, "R A"]]:
-    """Gives the mean EASR of every attack, as it is and on the resampled tiles.
-
-    Raises:
-        ConfigurationError: one is undefined.
-    """
-    stacks = [np.stack(counts) for counts in series.values()]
-    easr = np.array([overall_attack_success_rate(stack.sum(axis=1)).mean() for stack in stacks])
-    undefined = next(
-        (name for name, rate in zip(series, easr, strict=True) if math.isnan(rate)), None
-    )
-    if undefined is not None:
-        raise ConfigurationError(
-            f"The EASR of {undefined} is undefined; a detector found no vehicle before it."
-        )
+    """The mean EASR of every attack, as it is and on the resampled tiles."""
+    stacks = [np.stack(counts) for counts in attacks]
+    easr = [overall_attack_success_rate(stack.sum(axis=1)).mean() for stack in stacks]
     drawn = [
         overall_attack_success_rate(sample.replicates(stack)).mean(axis=-1) for stack in stacks
     ]
-    return easr, np.stack(drawn, axis=1)
+    return np.array(easr), np.stack(drawn, axis=1) if drawn else np.empty((0, 0))
 
 
 def _agreement(
@@ -200,8 +158,10 @@ def _agreement(
     theirs: Float[np.ndarray, " A"],
     drawn_ours: Float[np.ndarray, "R A"],
     drawn_theirs: Float[np.ndarray, "R A"],
-) -> Agreement:
+) -> Agreement | None:
     """Correlates two orders; replicates in which an EASR is undefined are left out."""
+    if len(names) < _FEWEST or np.isnan(ours).any() or np.isnan(theirs).any():
+        return None
     defined = ~np.isnan(drawn_ours).any(axis=1) & ~np.isnan(drawn_theirs).any(axis=1)
     estimates = rank_correlations(ours, theirs)
     drawn = rank_correlations(drawn_ours[defined], drawn_theirs[defined])
@@ -274,28 +234,25 @@ def agreement_part(run: Reproduction) -> Part:
 
 def correlation_grid(rows: Sequence[Mapping[str, Any]]) -> Grid:
     """Shows rank correlations of two orders, which `rows` name as "compared" and "set"."""
-    cells = [
+    return Grid.of(
+        rows,
         [
-            row["compared"],
-            row["set"],
-            str(row["attacks"]),
-            *(bracket(row, name, digits=2) for name in ("spearman", "kendall")),
-        ]
-        for row in rows
-    ]
-    return Grid(["compared", "attacks", "number", "Spearman’s ρ", "Kendall’s τ"], cells)
+            ("compared", "compared"),
+            ("attacks", "set"),
+            ("number", "attacks"),
+            ("Spearman’s ρ", rate("spearman", 2)),
+            ("Kendall’s τ", rate("kendall", 2)),
+        ],
+    )
 
 
-def correlated(
-    compared: str, label: str, correlate: Callable[[], Agreement]
-) -> list[dict[str, Any]]:
-    """Gives the row of one correlation; none of fewer than three attacks, or an undefined one."""
-    with suppress(ConfigurationError):
-        found = correlate()
-        row = {"compared": compared, "set": label, "attacks": len(found.attacks)}
-        row |= interval_cells("spearman", found.spearman)
-        return [row | interval_cells("kendall", found.kendall)]
-    return []
+def correlated(compared: str, label: str, found: Agreement | None) -> list[dict[str, Any]]:
+    """Gives the row of one correlation, if there is any."""
+    if found is None:
+        return []
+    row = {"compared": compared, "set": label, "attacks": len(found.attacks)}
+    row |= interval_cells("spearman", found.spearman)
+    return [row | interval_cells("kendall", found.kendall)]
 
 
 def with_paper(
@@ -306,26 +263,16 @@ def with_paper(
     renderer: str = RENDERER,
 ) -> list[dict[str, Any]]:
     """Correlates our ranks under a renderer with a column of the paper's, set by set."""
-
-    def correlate(belongs: Callable[[str], bool]) -> Agreement:
-        wanted = {name: rate for name, rate in paper.items() if belongs(name)}
-        generator = np.random.default_rng(0)
-        return rank_agreement(
-            run.results.counts, wanted, rows=rows, generator=generator, renderer=renderer
-        )
-
-    return [
-        row
-        for label, belongs in _SETS.items()
-        for row in correlated(compared, label, partial(correlate, belongs))
-    ]
+    found = []
+    for label, belongs in _SETS.items():
+        wanted = {name: easr for name, easr in paper.items() if belongs(name)}
+        agreement = rank_agreement(run.results.counts, wanted, rows, renderer=renderer)
+        found += correlated(compared, label, agreement)
+    return found
 
 
 def _rows(run: Reproduction) -> list[dict[str, Any]]:
-    """Correlates ranks: ours with both of the paper's columns, and these with each other.
-
-    Shapes and combinations stand at our own PM*, and once more at the paper's.
-    """
+    """Ours with both of the paper's columns, at our PM* and at the paper's, and these together."""
     same = {
         name: point_name(name, result.perturbation_magnitude)
         for name, result in PAPER_RESULTS.items()
@@ -341,7 +288,7 @@ def _rows(run: Reproduction) -> list[dict[str, Any]]:
     if rows:
         for label, belongs in _SETS.items():
             names = [name for name in ON_BLENDER if belongs(name)]
-            rows += correlated("the paper’s two columns", label, partial(_with_itself, names))
+            rows += correlated("the paper’s two columns", label, _with_itself(names))
     return rows
 
 
@@ -356,10 +303,7 @@ def _with_itself(names: Sequence[str]) -> Agreement:
 
 
 def comparison(run: Reproduction) -> dict[str, float]:
-    """Gives our EASR of everything that the paper has too, in percent.
-
-    Textures and controls stand by their names, shapes at their PM*.
-    """
+    """Gives our EASR of everything that the paper has, too, in percent; shapes at their PM*."""
     found = {name: run.row(name) for name in run.names if TEXTURE.fullmatch(name)}
     found |= {family: run.row(name) for family, name in run.best.items()}
     return {

@@ -5,51 +5,35 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from skyproof.results.result import Result
 from skyproof.results.statistics.intervals import Interval
+from skyproof.words import detector_name
 
 _STAR = re.compile(r"(?<!\*)\*(?!\*)")
 _RATES = (
-    "easr",
-    "easr_low",
-    "easr_high",
-    "easr_repeat_min",
-    "easr_repeat_max",
-    "random_easr",
-    "net_easr",
-    "net_easr_low",
-    "net_easr_high",
-    "strongest_control_easr",
-    "net_strongest_control_easr",
-    "net_strongest_control_easr_low",
-    "net_strongest_control_easr_high",
-    "drawn_shape_easr",
-    "net_drawn_shape_easr",
-    "net_drawn_shape_easr_low",
-    "net_drawn_shape_easr_high",
-    "apd",
+    *("easr", "easr_low", "easr_high", "easr_repeat_min", "easr_repeat_max"),
+    *("random_easr", "net_easr", "net_easr_low", "net_easr_high"),
+    *("strongest_control_easr", "net_strongest_control_easr"),
+    *("net_strongest_control_easr_low", "net_strongest_control_easr_high"),
+    *("drawn_shape_easr", "net_drawn_shape_easr"),
+    *("net_drawn_shape_easr_low", "net_drawn_shape_easr_high", "apd"),
 )
 
 
 @dataclass(frozen=True)
 class Table:
-    """One table.
-
-    Attributes:
-        name: of its file.
-        rows: values by column, numbers unrounded; None where undefined.
-    """
+    """One table of a file: values by column, numbers unrounded; None where undefined."""
 
     name: str
     rows: Sequence[Mapping[str, Any]]
 
     @property
     def columns(self) -> list[str]:
-        """Of all rows, in the order of their first use."""
+        """The columns of all rows, in the order of their first use."""
         return list(dict.fromkeys(column for row in self.rows for column in row))
 
     def csv(self) -> str:
@@ -89,12 +73,27 @@ class Heading:
     level: int = 2
 
 
+Cell = Callable[[Mapping[str, Any]], str]
+"""What a column shows of a row."""
+
+
 @dataclass(frozen=True)
 class Grid:
     """A table of a page, as words."""
 
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
+
+    @classmethod
+    def of(
+        cls, rows: Iterable[Mapping[str, Any]], columns: Sequence[tuple[str, str | Cell]]
+    ) -> Grid:
+        """Shows columns of rows, each under its heading; a key stands for the value as it is."""
+        cells = [
+            [str(row[cell]) if isinstance(cell, str) else cell(row) for _, cell in columns]
+            for row in rows
+        ]
+        return cls([heading for heading, _ in columns], cells)
 
     def markdown(self) -> str:
         """Writes the grid in Markdown."""
@@ -105,13 +104,7 @@ class Grid:
 
 @dataclass(frozen=True)
 class Figure:
-    """A picture of a page.
-
-    Attributes:
-        name: of its files, without ending.
-        caption: stands below it.
-        files: the picture by file ending; empty where the run lacks what it would show.
-    """
+    """A picture of a page: by file ending its bytes, none if the run lacks what it would show."""
 
     name: str
     caption: str
@@ -154,6 +147,21 @@ def bracket(row: Mapping[str, Any], key: str, *, digits: int = 1) -> str:
     return number(row.get(key), digits) + (
         f" ({number(low, digits)} to {number(high, digits)})" if known else ""
     )
+
+
+def rate(key: str, digits: int = 1) -> Cell:
+    """Shows a column's value with its interval."""
+    return lambda row: bracket(row, key, digits=digits)
+
+
+def value(key: str, digits: int = 1) -> Cell:
+    """Shows a column's number."""
+    return lambda row: number(row.get(key), digits)
+
+
+def detector_of(row: Mapping[str, Any]) -> str:
+    """Shows the name of a row's detector."""
+    return detector_name(row["detector"])
 
 
 def span(low: float | None, high: float | None) -> str:

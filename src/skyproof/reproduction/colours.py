@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 from statistics import fmean
 from typing import Any
 
@@ -17,6 +18,7 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.report.figures import GREY, STYLE, as_files
 from skyproof.reproduction.cells import (
     Block,
+    Cell,
     Figure,
     Grid,
     Heading,
@@ -24,6 +26,7 @@ from skyproof.reproduction.cells import (
     Table,
     number,
     span,
+    value,
 )
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.reproduction.stored_looks import TextureLooks
@@ -46,17 +49,9 @@ def colours_part(run: Reproduction) -> Part:
         for name, found in histograms.items()
         for channel, shares in zip(_CHANNELS, found, strict=True)
     ]
-    cells = [
-        [
-            row["attack"],
-            str(row["textures"]),
-            *(_mean(row, place) for place in _PLACES),
-            *(number(row[f"random_{place}"]) for place in _PLACES),
-        ]
-        for row in rows
-    ]
-    header = ["texture", "repeats"]
-    header += [f"{place}, %" for place in _PLACES] + [f"random: {place}, %" for place in _PLACES]
+    columns: list[tuple[str, str | Cell]] = [("texture", "attack"), ("repeats", "textures")]
+    columns += [(f"{place}, %", partial(_mean, place=place)) for place in _PLACES]
+    columns += [(f"random: {place}, %", value(f"random_{place}")) for place in _PLACES]
     blocks: list[Block] = [
         heading,
         "Where in the RGB cube the colours lie that learnt textures end with: shares of the "
@@ -65,7 +60,7 @@ def colours_part(run: Reproduction) -> Part:
         "by its mean area on the test vehicles, and only where they wear the texture. Brackets "
         "hold the range over repeats. Of uniformly random colours 32.2, 4.1 and 0.2 % lie there. "
         "“random” is the mean over draws of the random control.",
-        Grid(header, cells),
+        Grid.of(rows, columns),
         *_weather(rows),
         Figure(
             "colours",

@@ -15,10 +15,12 @@ from msgspec import Meta
 from skyproof.console import say
 from skyproof.detectors.reference_detectors import reference_folder
 from skyproof.errors import ConfigurationError
-from skyproof.reproduction.plan import Plan
 
 if TYPE_CHECKING:
-    from skyproof.reproduction.held_out_detectors import Judge
+    from skyproof.assessment.run import Run
+    from skyproof.files import Hold
+    from skyproof.reproduction.held_out_detectors import HeldOutDetector
+    from skyproof.reproduction.plan import Plan
     from skyproof.reproduction.preset import Preset
 
 
@@ -60,73 +62,80 @@ class Reproduce:
     dry_run: bool = False
 
     def run(self) -> None:
-        """Runs what is not finished yet."""
+        """Does every step that is not finished."""
         from skyproof.assessment.run import Run
         from skyproof.device import choose_device
-        from skyproof.layout import Layout
         from skyproof.reproduction.held_out_detectors import (
-            new_judges,
-            read_judges,
-            store_judges,
+            new_tables,
+            read_held_out,
             store_reference_detectors,
-            stored_judges,
+            store_tables,
+            stored_tables,
         )
+        from skyproof.reproduction.layout import PaperLayout
         from skyproof.reproduction.preset import read_preset
         from skyproof.reproduction.slurm import wait_for_earlier_jobs
-        from skyproof.reproduction.snakemake import run_side_by_side, snakemake_words
         from skyproof.reproduction.workflow import reproduction_plan
 
         name, path, values, preset = read_preset(self.preset)
-        cores = self._side_by_side()
+        count = self._side_by_side()
         choose_device(self.device)
         _refuse_unbuildable(preset)
-        blender = self._cycles()
-        config = {"blender": str(blender)} if blender else {}
-        layout = Layout(self.out)
-        judges = read_judges(self.held_out)
-        added = new_judges(layout, preset, judges)
-        names = {table: sorted(judge.name for judge in its) for table, its in added.items()}
-        tables = dict(sorted({**stored_judges(layout), **names}.items()))
-
+        blender = self._blender()
+        layout = PaperLayout(self.out)
+        given = read_held_out(self.held_out)
+        added = new_tables(layout, preset, given)
+        names = {table: tuple(sorted(each.name for each in its)) for table, its in added.items()}
+        tables = dict(sorted((stored_tables(layout) | names).items()))
         plan = reproduction_plan(
-            preset, self.out, device=self.device, blender=blender, judges=tables
+            preset, self.out, device=self.device, blender=blender, held_out=tables
         )
         run = Run(self.out, {"preset": name, **values}, plan.steps)
         if self.dry_run:
-            self._say_how(path, preset, plan, config, added)
+            self._say_how(path, preset, plan, blender, added)
             return
         if self.slurm_jobs is not None:
             wait_for_earlier_jobs(self.out)
         with run.begun(self.device) as hold:
             store_reference_detectors(layout, preset)
-            store_judges(layout, new_judges(layout, preset, judges))
-            where = f"{cores} cores" if self.slurm_jobs is None else f"{cores} jobs of Slurm"
+            store_tables(layout, new_tables(layout, preset, given))
+            where = "cores" if self.slurm_jobs is None else "jobs of Slurm"
             say(
-                f"skyproof reproduce, preset {name}: {_listed(plan)}; {where}, "
+                f"skyproof reproduce, preset {name}: {plan.in_words}; {count} {where}, "
                 f"run folder {self.out}"
             )
-            if cores == 1 and self.slurm_jobs is None:
+            if count == 1 and self.slurm_jobs is None:
                 run.do()
             else:
-                command = snakemake_words(self.out, {"device": self.device, **config})
-                # Marks left by a kill must not stop the next try; our own lock keeps a second run
-                # away.
-                command += ["--rerun-incomplete", "--nolock", "--scheduler", "greedy"]
-                command += self._executor(cores)
-                if self.slurm_jobs is None and preset.resources.gpu:
-                    command += ["--resources", "gpu=1"]
-                run_side_by_side(plan, run, command, cores, hold)
-        page = self.out / "tables" / "README.md"
+                self._run_snakemake(preset, plan, run, hold, blender, count)
+        page = layout.tables / "README.md"
         # A run without textures has none of the paper's tables.
         if page.exists():
             say(f"Tables: {page.resolve()}")
-        say(f"Report: {(self.out / 'report.html').resolve()}")
+        say(f"Report: {layout.report.resolve()}")
+
+    def _run_snakemake(
+        self, preset: Preset, plan: Plan, run: Run, hold: Hold, blender: Path | None, count: int
+    ) -> None:
+        from skyproof.reproduction.slurm import slurm_words
+        from skyproof.reproduction.snakemake import run_side_by_side, snakemake_words
+
+        command = snakemake_words(self.out, blender, self.device)
+        # Marks left by a kill must not stop the next try; our own lock keeps a second run away.
+        command += ["--rerun-incomplete", "--nolock", "--scheduler", "greedy"]
+        # A user's profile does not decide where the steps run.
+        if self.slurm_jobs is not None:
+            command += slurm_words(count)
+        else:
+            command += ["--executor", "local", "--cores", str(count)]
+            command += ["--resources", "gpu=1"] if preset.resources.gpu else []
+        run_side_by_side(plan, run, command, count, hold)
 
     def _side_by_side(self) -> int:
         """How many steps run at once, on this machine or in Slurm.
 
         Raises:
-            ConfigurationError: what they need is not there.
+            ConfigurationError: Snakemake or Slurm is missing, or both options are given.
         """
         from skyproof.reproduction.slurm import check_slurm
 
@@ -146,19 +155,11 @@ class Reproduce:
             )
         return cores
 
-    def _executor(self, count: int) -> list[str]:
-        """Snakemake's words for where the steps run; a user's profile does not decide that."""
-        from skyproof.reproduction.slurm import slurm_words
-
-        if self.slurm_jobs is not None:
-            return slurm_words(count)
-        return ["--executor", "local", "--cores", str(count)]
-
-    def _cycles(self) -> Path | None:
-        """Returns the Blender of the Cycles column; None where that is not asked for.
+    def _blender(self) -> Path | None:
+        """The Blender of the Cycles column.
 
         Raises:
-            ConfigurationError: there is no usable Blender, or it is given for nothing.
+            ConfigurationError: there is no usable Blender, or it is given without --cycles.
         """
         from skyproof.cycles.blender import find_blender
 
@@ -177,21 +178,21 @@ class Reproduce:
         path: Path,
         preset: Preset,
         plan: Plan,
-        config: Mapping[str, str],
-        added: Mapping[str, Sequence[Judge]],
+        blender: Path | None,
+        added: Mapping[str, Sequence[HeldOutDetector]],
     ) -> None:
-        """Says what would be done, and how to do it by hand."""
-        from skyproof.layout import Layout
+        """Prints the steps, and the commands for them."""
+        from skyproof.reproduction.layout import PaperLayout
         from skyproof.reproduction.slurm import slurm_words
         from skyproof.reproduction.snakemake import snakemake_words
 
-        say(f"Steps: {_listed(plan)}.")
+        say(f"Steps: {plan.in_words}.")
         say("By hand, or with options for a cluster's executor:")
-        own = Layout(self.out)
+        own = PaperLayout(self.out)
         copies = [
-            (judge.folder, own.judged(table).detector(judge.name))
-            for table, judges in added.items()
-            for judge in judges
+            (each.folder, own.table(table).detector(each.name))
+            for table, detectors in added.items()
+            for each in detectors
         ]
         if not own.config.exists():
             copies += [(reference_folder(name), own.detector(name)) for name in preset.reference]
@@ -201,20 +202,11 @@ class Reproduce:
         for source, copy in copies:
             say("  " + shlex.join(["cp", "-r", str(source), str(copy)]))
         where = ["--cores", "2"] if self.slurm_jobs is None else slurm_words(self.slurm_jobs)
-        say("  " + shlex.join([*snakemake_words(self.out, config), *where]))
-
-
-def _listed(plan: Plan) -> str:
-    counts = ", ".join(f"{kind} {count}" for kind, count in plan.counts.items())
-    return f"{len(plan.steps)} steps ({counts})"
+        say("  " + shlex.join([*snakemake_words(self.out, blender), *where]))
 
 
 def _refuse_unbuildable(preset: Preset) -> None:
-    """Shows a detector whose library is missing before the ground is drawn.
-
-    Raises:
-        ConfigurationError: there is one.
-    """
+    """Shows a detector whose library is missing before the ground is drawn."""
     import torch
 
     from skyproof.detectors.build import build_detector

@@ -12,9 +12,10 @@ from skyproof.reproduction.cells import (
     Heading,
     Part,
     Table,
-    bracket,
     interval_cells,
     number,
+    rate,
+    value,
 )
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.results.result import LENIENT_MATCH, Result
@@ -54,31 +55,20 @@ def criteria_part(run: Reproduction) -> Part:
         "detections on no vehicle at the frozen threshold, per square kilometre of test ground, "
         "beside vehicles without and with the camouflage."
     )
-    cells = [
+    grid = Grid.of(
+        rows,
         [
-            row["attack"],
-            bracket(row, "easr"),
-            bracket(row, "easr_iou_50"),
-            bracket(row, _LENIENT),
-            number(row.get("ap_iou_50_original")),
-            number(row.get("ap_iou_50_adversarial")),
-            number(row["false_alarms_per_km2_original"], 0),
-            number(row["false_alarms_per_km2_adversarial"], 0),
-        ]
-        for row in rows
-    ]
-    header = [
-        "attack",
-        "EASR",
-        "EASR, IoU ≥ 0.5",
-        "EASR, centre in box",
-        "AP, IoU ≥ 0.5",
-        "AP then",
-        "false alarms per km²",
-        "then",
-    ]
-    heading = Heading("By overlap, and false alarms")
-    blocks = [heading, text, Grid(header, cells), *_on_empty_ground(run)]
+            ("attack", "attack"),
+            ("EASR", rate("easr")),
+            ("EASR, IoU ≥ 0.5", rate("easr_iou_50")),
+            ("EASR, centre in box", rate(_LENIENT)),
+            ("AP, IoU ≥ 0.5", value("ap_iou_50_original")),
+            ("AP then", value("ap_iou_50_adversarial")),
+            ("false alarms per km²", value("false_alarms_per_km2_original", 0)),
+            ("then", value("false_alarms_per_km2_adversarial", 0)),
+        ],
+    )
+    blocks = [Heading("By overlap, and false alarms"), text, grid, *_on_empty_ground(run)]
     return Part([Table("criteria", rows)], blocks)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,6 @@ import numpy as np
 from skyproof.camouflage.controls import controls
 from skyproof.camouflage.name import CamouflageName
 from skyproof.reproduction.agreement import (
-    Agreement,
     correlated,
     correlation_grid,
     renderer_agreement,
@@ -23,12 +21,13 @@ from skyproof.reproduction.cells import (
     Heading,
     Part,
     Table,
-    bracket,
     in_percent,
     interval_cells,
     number,
+    rate,
+    value,
 )
-from skyproof.reproduction.paper_results import ON_BLENDER, PAPER_RESULTS
+from skyproof.reproduction.paper_results import ON_BLENDER, ON_RENDERER
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.results.result import MAIN_MATCH
 from skyproof.results.results import CYCLES, RENDERER, Results
@@ -63,12 +62,7 @@ def cycles_columns(run: Reproduction, name: str) -> dict[str, Any]:
 
 
 def cycles_part(run: Reproduction, rows: Sequence[Mapping[str, Any]]) -> Part:
-    """Says how far EASR moves from the renderer to Cycles, and who orders the attacks alike.
-
-    Args:
-        run: nothing is said of one without Cycles.
-        rows: of both tables of the paper.
-    """
+    """Says how far EASR moves from the renderer to Cycles; `rows` are those of both tables."""
     if not run.cycles:
         return Part()
     changes = _changes(run)
@@ -114,20 +108,18 @@ def rates_under(
 
 
 def _names(run: Reproduction) -> list[str]:
-    """Lists what both renderers show."""
-    return [name for name in run.names if run.row(name) and run.row(name, renderer=CYCLES)]
-
-
-def _plain_names(run: Reproduction) -> list[str]:
-    """Lists those of them that the paper has, too: no variants, no controls that were chosen."""
-    return [name for name in _names(run) if not CamouflageName.read(name).variant]
+    """The camouflages under both renderers, without variants and chosen controls."""
+    return [
+        name
+        for name in run.names
+        if run.row(name)
+        and run.row(name, renderer=CYCLES)
+        and not CamouflageName.read(name).variant
+    ]
 
 
 def _change(run: Reproduction, names: Collection[str]) -> dict[str, Any]:
-    """Gives mean EASR under either renderer and their difference, in percent.
-
-    The answer is empty where the renderers share nothing.
-    """
+    """Mean EASR under either renderer and their difference, in percent, if both have these."""
     change = run.results.change([CamouflageName.read(name) for name in names])
     if change is None:
         return {}
@@ -138,43 +130,29 @@ def _change(run: Reproduction, names: Collection[str]) -> dict[str, Any]:
 def _changes(run: Reproduction) -> list[dict[str, Any]]:
     rows = []
     for kind, belongs in _KINDS.items():
-        names = [name for name in _plain_names(run) if belongs(name)]
-        paper = [result for name, result in PAPER_RESULTS.items() if belongs(name)]
-        known = [
-            (result.easr, result.easr_blender)
-            for result in paper
-            if result.easr_blender is not None
-        ]
+        names = [name for name in _names(run) if belongs(name)]
+        known = [(ON_RENDERER[name], easr) for name, easr in ON_BLENDER.items() if belongs(name)]
         renderer, blender = np.mean(known, axis=0).tolist() if known else (None, None)
         if names:
             ours = {"kind": kind, "camouflages": len(names), **_change(run, names)}
-            rows.append(
-                ours
-                | {
-                    "paper_number": len(known),
-                    "paper_easr": renderer,
-                    "paper_easr_blender": blender,
-                }
-            )
+            paper = {"paper_number": len(known), "paper_easr": renderer}
+            rows.append(ours | paper | {"paper_easr_blender": blender})
     return rows
 
 
 def _agreements(run: Reproduction) -> list[dict[str, Any]]:
     """Correlates the ranks on Cycles with the paper's Blender column and with our renderer."""
-    attacks = [name for name in _plain_names(run) if not name.startswith("R-")]
+    attacks = [name for name in _names(run) if not name.startswith("R-")]
     sets = {
         "textures": [name for name in attacks if name.startswith("T-")],
         "all attacks, at every magnitude": attacks,
-        "all, with random controls": _plain_names(run),
+        "all, with random controls": _names(run),
     }
-
-    def with_renderer(names: Collection[str]) -> Agreement:
-        generator = np.random.default_rng(0)
-        return renderer_agreement(run.results.counts, names, generator=generator)
 
     rows = with_paper(run, "Cycles and the paper’s Blender", ON_BLENDER, run.best, CYCLES)
     for label, names in sets.items():
-        rows += correlated("Cycles and our renderer", label, partial(with_renderer, names))
+        found = renderer_agreement(run.results.counts, names)
+        rows += correlated("Cycles and our renderer", label, found)
     return rows
 
 
@@ -218,20 +196,7 @@ def _alone(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _moves(changes: Sequence[Mapping[str, Any]]) -> list[Block]:
-    rows = [
-        [
-            row["kind"],
-            str(row["camouflages"]),
-            number(row["easr"]),
-            number(row["cycles_easr"]),
-            bracket(row, "change"),
-            str(row["paper_number"] or "–"),
-            number(row["paper_easr"], 2),
-            number(row["paper_easr_blender"], 2),
-        ]
-        for row in changes
-    ]
-    if not rows:
+    if not changes:
         return []
     text = (
         "How far EASR moves from the renderer to Cycles: means over camouflages, each the mean of "
@@ -239,8 +204,20 @@ def _moves(changes: Sequence[Mapping[str, Any]]) -> list[Block]:
         "without controls that were chosen. Beside them the paper’s means, over the attacks for "
         "which it has both."
     )
-    header = ["camouflages", "number", "EASR", "EASR on Cycles", "change"]
-    return [text, Grid([*header, "in the paper", "paper EASR", "paper Blender"], rows)]
+    grid = Grid.of(
+        changes,
+        [
+            ("camouflages", "kind"),
+            ("number", "camouflages"),
+            ("EASR", value("easr")),
+            ("EASR on Cycles", value("cycles_easr")),
+            ("change", rate("change")),
+            ("in the paper", lambda row: str(row["paper_number"] or "–")),
+            ("paper EASR", value("paper_easr", 2)),
+            ("paper Blender", value("paper_easr_blender", 2)),
+        ],
+    )
+    return [text, grid]
 
 
 def _placebo(rows: Sequence[Mapping[str, Any]]) -> str:

@@ -24,9 +24,11 @@ from skyproof.reproduction.cells import (
     Heading,
     Part,
     Table,
-    bracket,
+    detector_of,
     interval_cells,
     number,
+    rate,
+    value,
 )
 from skyproof.reproduction.feature_space import Embedding, embed
 from skyproof.reproduction.reproduction import Reproduction
@@ -183,12 +185,19 @@ def _blocks(
         "class’s mean lies on the straight way from vehicles as they were (0) to the ground (1), "
         "“aside” how far off that way it lies, in lengths of the way. Brackets hold 95 % "
         "intervals over background tiles.",
-        Grid(
+        Grid.of(
+            rows,
             [
-                *("camouflage", "detector", "shown", "boxes", "silhouette", "own class, %"),
-                *("nearer to ground, %", "along", "aside"),
+                ("camouflage", "camouflage"),
+                ("detector", detector_of),
+                ("shown", lambda row: shown_name(row["shown"])),
+                ("boxes", "boxes"),
+                ("silhouette", value("silhouette", 2)),
+                ("own class, %", rate("nearest_own", 0)),
+                ("nearer to ground, %", rate("nearer_ground", 0)),
+                ("along", rate("along", 2)),
+                ("aside", value("aside", 2)),
             ],
-            [_cells(row) for row in rows],
         ),
         *_readings(rows),
     ]
@@ -197,20 +206,6 @@ def _blocks(
             f"Of {', '.join(silent)} no features are stored: not every detector shows its own."
         )
     return parts
-
-
-def _cells(row: Mapping[str, Any]) -> list[str]:
-    return [
-        row["camouflage"],
-        detector_name(row["detector"]),
-        shown_name(row["shown"]),
-        str(row["boxes"]),
-        number(row["silhouette"], 2),
-        bracket(row, "nearest_own", digits=0),
-        bracket(row, "nearer_ground", digits=0),
-        bracket(row, "along", digits=2),
-        number(row.get("aside"), 2),
-    ]
 
 
 def _readings(rows: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import torch
@@ -11,18 +13,24 @@ from jaxtyping import Float
 from torch import Tensor
 from torchvision import ops
 
+from skyproof.camouflage.folder import load_camouflage
+from skyproof.console import progress_bar, say
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.detector import Detector, TrainableDetector
 from skyproof.detectors.inference import LARGEST_WHOLE_PX, to_detector
+from skyproof.detectors.loaded import load_ensemble
+from skyproof.device import choose_device
 from skyproof.errors import ConfigurationError
+from skyproof.files import refuse_existing
 from skyproof.randomness import generator_of
+from skyproof.render.dataset import render_dataset
+from skyproof.render.renderer import TorchRenderer
 from skyproof.reproduction.box_features import box_features
-from skyproof.reproduction.stored_features import GROUND, Features
+from skyproof.reproduction.stored_features import GROUND, Features, write_features
+from skyproof.reproduction.world import MOST_SCENES
 from skyproof.results.pairs.outcomes import ORIGINAL
-
-MOST_SCENES = 200
-"""Of so many scenes, the first, features are stored: some 600 vehicles, as many as a picture of
-points can show. Scenes are drawn independently, so the first are a fair sample."""
+from skyproof.scenes.backgrounds import BackgroundSet
+from skyproof.vehicles.fleet import Fleet
 
 _BATCH_SIZE = 16
 _TRIES = 50
@@ -38,6 +46,44 @@ class _Boxes:
     placements: Sequence[Sequence[int]]
 
 
+def store_features(
+    *,
+    detectors: Sequence[Path],
+    out: Path,
+    original: Path,
+    camouflages: Sequence[Path],
+    backgrounds: Path,
+    fleet: Path,
+    seed: int = 0,
+    device: str = "auto",
+) -> None:
+    """Renders the first scenes in each camouflage, and stores the detectors' features in `out`."""
+    refuse_existing(out)
+    place = choose_device(device)
+    dataset = Dataset.open(original)
+    loaded = load_ensemble(detectors, place, dataset.gsd_m)
+    vehicles = Fleet.load(fleet)
+    renderer = TorchRenderer(BackgroundSet.open(backgrounds))
+    with TemporaryDirectory() as images:
+        camouflaged = {}
+        for folder in camouflages:
+            rendered = Path(images) / folder.name
+            with progress_bar(f"render {folder.name}") as update:
+                render_dataset(
+                    rendered,
+                    dataset.scenes[:MOST_SCENES],
+                    vehicles,
+                    renderer,
+                    camouflage=load_camouflage(folder).to(place),
+                    device=place,
+                    progress=update,
+                )
+            camouflaged[folder.name] = Dataset.open(rendered)
+        found = gather_features(loaded, dataset, camouflaged, seed=seed)
+    write_features(out, found)
+    say(f"Features of {len(detectors)} detectors: {out.resolve()}")
+
+
 def gather_features(
     detectors: Sequence[Detector],
     original: Dataset,
@@ -51,11 +97,8 @@ def gather_features(
     looked at in the images without camouflage, in boxes as large as the vehicles', at random places
     a metre or more from every vehicle; where an image has no room for one, it is left out.
 
-    Args:
-        detectors: one that gives no features is passed over.
-        original: images without camouflage.
-        camouflaged: images of the same scenes by camouflage name.
-        seed: of the places of the ground.
+    A detector that gives no features is passed over. `camouflaged` has the images of the same
+    scenes by camouflage, `seed` places the ground.
 
     Raises:
         ConfigurationError: the images are larger than a detector looks at whole.
@@ -137,7 +180,7 @@ def _ground(dataset: Dataset, count: int, seed: int) -> _Boxes:
 def _free_place(
     box: Tensor, taken: Tensor, size_px: tuple[int, int], generator: torch.Generator
 ) -> Tensor | None:
-    """A box of the same size at a random free place of an image; None where none was met."""
+    """A box of the same size at a random free place of an image; None if none was met."""
     sides = box[2:] - box[:2]
     room = torch.tensor(size_px) - sides
     for _ in range(_TRIES):

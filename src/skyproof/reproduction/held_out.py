@@ -25,8 +25,10 @@ from skyproof.reproduction.cells import (
     Part,
     Table,
     bracket,
+    detector_of,
     interval_cells,
     number,
+    rate,
 )
 from skyproof.reproduction.cycles import rates_under
 from skyproof.reproduction.reproduction import Reproduction
@@ -44,7 +46,7 @@ _PREFIXES = {RENDERER: "", CYCLES: "cycles_"}
 
 def held_out_part(run: Reproduction) -> Part:
     """Gives what held-out detectors find without camouflage, and what is hidden from them."""
-    if not run.judges:
+    if not run.held_out:
         return Part()
     blocks: list[Block] = [
         Heading("Judged by detectors that were not attacked"),
@@ -56,7 +58,7 @@ def held_out_part(run: Reproduction) -> Part:
     ]
     baselines: list[dict[str, Any]] = []
     hidden: list[dict[str, Any]] = []
-    for table in run.judges:
+    for table in run.held_out:
         own_baselines = _baselines(run, table)
         own_hidden = judged_rows(run, table)
         blocks += _table(run, table, own_baselines, own_hidden)
@@ -76,7 +78,7 @@ def judged_rows(run: Reproduction, table: str) -> list[dict[str, Any]]:
     Textures come first, then shapes and combinations at the PM* that they have in the run, then
     random textures.
     """
-    results = run.judges[table]
+    results = run.held_out[table]
     scored = set(map(str, results.names))
     learnt = [name for name in run.names if name.startswith("T-") and "_" not in name]
     drawn = [name for name in run.names if re.fullmatch("R-[A-Za-z]+", name)]
@@ -100,7 +102,7 @@ def _rates(results: Results, name: str, judge: str) -> dict[str, Any]:
 
 def _baselines(run: Reproduction, table: str) -> list[dict[str, Any]]:
     """Gives per judge what it finds without camouflage: in its validation, when checked, here."""
-    results = run.judges[table]
+    results = run.held_out[table]
     records = read_prechecks(Layout(results.folder).detectors)
     rows = []
     for judge in results.detectors:
@@ -131,8 +133,8 @@ def _check(check: Baseline) -> dict[str, Any]:
         "clusters": f"{check.clusters} {check.clustered_by}",
     }
     shown = {"ap": check.ap_centre_1m, "recall": check.recall, "precision": check.precision}
-    for name, rate in shown.items():
-        values |= interval_cells(name, rate, 100.0)
+    for name, interval in shown.items():
+        values |= interval_cells(name, interval, 100.0)
     return values
 
 
@@ -142,23 +144,22 @@ def _table(
     baselines: Sequence[Mapping[str, Any]],
     hidden: Sequence[Mapping[str, Any]],
 ) -> list[Block]:
-    results = run.judges[table]
+    results = run.held_out[table]
     unknown = "images that are not recorded"
     origins = dict.fromkeys(row["trained_on"] or unknown for row in baselines)
     parts: list[Block] = [
         Heading(f"{table}: {', '.join(map(detector_name, results.detectors))}", 3),
         f"They learnt from “{'”, “'.join(origins)}”. What they reach without camouflage, in "
         "percent; found, and right of what was reported, at the frozen threshold:",
-        Grid(
-            ["detector", "images", "vehicles", "AP", "found", "right"],
+        Grid.of(
+            baselines,
             [
-                [
-                    detector_name(row["detector"]),
-                    row["set"],
-                    str(row["vehicles"] or "–"),
-                    *(bracket(row, name) for name in ("ap", "recall", "precision")),
-                ]
-                for row in baselines
+                ("detector", detector_of),
+                ("images", "set"),
+                ("vehicles", lambda row: str(row["vehicles"] or "–")),
+                ("AP", rate("ap")),
+                ("found", rate("recall")),
+                ("right", rate("precision")),
             ],
         ),
         _doubts(baselines),

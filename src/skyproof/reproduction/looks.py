@@ -13,7 +13,6 @@ from matplotlib import pyplot as plt
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.files import inside
-from skyproof.layout import Layout
 from skyproof.pictures import read_pixels
 from skyproof.report.figures import BLUE, INK, ORANGE, STYLE, as_files
 from skyproof.reproduction.cells import (
@@ -34,7 +33,7 @@ _PORTRAIT_ROWS = 4
 def looks_part(run: Reproduction) -> Part:
     """Draws what was tested; figures of what the run lacks are empty."""
     looks = run.looks
-    folder = run.looks_folder
+    folder = run.layout.looks
     with plt.rc_context(STYLE | {"svg.hashsalt": "looks", "font.size": 9}):
         drawn = {
             "classes": _classes(run),
@@ -168,7 +167,7 @@ def _maps(run: Reproduction) -> dict[str, bytes]:
 
 def _flat(run: Reproduction, name: CamouflageName) -> list[UInt8[np.ndarray, "H W 3"]]:
     """The maps of the first repeat that the run keeps, the texture first."""
-    folder = Layout(run.results.folder).camouflages
+    folder = run.layout.camouflages
     places = [folder / str(each) for each in (name.with_repeat(0), name)]
     paths = [place / file for file in ("texture.png", "displacement.png") for place in places]
     return [read_pixels(path, _REMEDY) for path in paths if path.exists()]

@@ -1,14 +1,10 @@
-"""A plan is a list of named steps.
-
-Each step has the settings of one command, the files that it needs and the files that it leaves.
-"""
+"""A plan is a list of named steps, with the files that each needs and leaves."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import is_dataclass
-from functools import partial
+from collections.abc import Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -20,7 +16,7 @@ _MOST_STEPS = 20_000
 
 
 class Command(Protocol):
-    """A command's settings: a frozen dataclass, as the command line parses it."""
+    """Settings of a command: a frozen dataclass, as the command line parses it."""
 
     def run(self) -> None:
         """Does the work."""
@@ -35,22 +31,37 @@ def command_step(
     outputs: tuple[Path, ...],
     **more: Any,
 ) -> Step:
-    """Returns a step that one command does; its settings are the step's."""
+    """Returns a step that one command does.
+
+    Raises:
+        ConfigurationError: a setting is out of its range, which shows before anything is made.
+    """
+    check_ranges(command)
     return Step(kind, name, outputs, command.run, command, inputs, **more)
 
 
 def function_step(
     kind: str,
     name: str,
-    function: Callable[..., None],
+    function: str,
     arguments: Mapping[str, Any],
     inputs: tuple[Path, ...],
     outputs: tuple[Path, ...],
+    device: str | None = None,
     **more: Any,
 ) -> Step:
-    """Returns a step that one function does; its arguments are the step's settings."""
-    work = partial(function, **arguments)
-    return Step(kind, name, outputs, work, dict(arguments), inputs, **more)
+    """Returns a step that one function does, a "module:name" of this room.
+
+    Its arguments are the step's settings; the device is none, because it decides no results. The
+    module is imported when the step is done.
+    """
+    given = arguments if device is None else {**arguments, "device": device}
+
+    def work() -> None:
+        module, _, wanted = function.partition(":")
+        getattr(import_module(f"skyproof.reproduction.{module}"), wanted)(**given)
+
+    return Step(kind, name, outputs, work, arguments, inputs, **more)
 
 
 class Plan:
@@ -58,13 +69,13 @@ class Plan:
 
     Attributes:
         steps: in the order in which one process does them.
-        threads: CPU threads of each step, where steps run side by side.
-        resources: what each step that computes much asks of a cluster: gpu, mem_mb, runtime
+        threads: CPU threads of each step, if steps run side by side.
+        resources: resources on a cluster of each step that computes much: gpu, mem_mb, runtime
             (minutes).
 
     Raises:
-        ConfigurationError: a command's setting is out of its range, or there are too many steps.
-        RunFolderError: two steps of one name, or a step that needs what only a later one leaves.
+        ConfigurationError: there are too many steps.
+        RunFolderError: two steps of one name, or a step that needs an output of a later one.
     """
 
     def __init__(
@@ -75,17 +86,13 @@ class Plan:
         resources: Mapping[str, int] | None = None,
     ) -> None:
         self.steps = tuple(steps)
-        if len(self.steps) > _MOST_STEPS:
-            raise ConfigurationError(
-                f"The plan has {len(self.steps):,} steps, more than the {_MOST_STEPS:,} that a run "
-                "may have; ask for fewer repeats, draws, textures or magnitudes."
-            )
-        # A setting that a later step would refuse shows before anything is made.
-        for step in self.steps:
-            if is_dataclass(step.settings):
-                check_ranges(step.settings)
         self.threads = threads
         self.resources = dict(resources or {})
+        if len(steps) > _MOST_STEPS:
+            raise ConfigurationError(
+                f"The plan has {len(steps):,} steps, more than the {_MOST_STEPS:,} that a run "
+                "may have; ask for fewer repeats, draws, textures or magnitudes."
+            )
         repeated = [name for name, count in Counter(step.id for step in steps).items() if count > 1]
         if repeated:
             raise RunFolderError(f"Two steps of the plan are called {repeated[0]}; rename one.")
@@ -102,9 +109,9 @@ class Plan:
 
     @property
     def waiting(self) -> dict[str, int]:
-        """How many steps wait for each, at first or second hand, by id.
+        """How many steps wait for each, directly or not, by id.
 
-        Where steps run side by side, that with the most comes first: nothing else can be done while
+        The step with the most comes first if steps run side by side: nothing else can be done while
         a detector is trained that all attacks need.
         """
         # One bit for each step that waits.
@@ -116,6 +123,8 @@ class Plan:
         return {step: bits.bit_count() for step, bits in waiting.items()}
 
     @property
-    def counts(self) -> dict[str, int]:
-        """How many steps of each kind there are."""
-        return dict(Counter(step.kind for step in self.steps))
+    def in_words(self) -> str:
+        """The number of steps, in all and of each kind."""
+        counts = Counter(step.kind for step in self.steps)
+        listed = ", ".join(f"{kind} {count}" for kind, count in counts.items())
+        return f"{len(self.steps)} steps ({listed})"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from skyproof.reproduction.cells import Grid, Heading, Part, Table, number, sign
+from skyproof.reproduction.cells import Grid, Heading, Part, Table, sign, value
 from skyproof.reproduction.reproduction import Reproduction
 
 
@@ -13,28 +13,23 @@ def practicality_part(run: Reproduction) -> Part:
     measured = _rows(run)
     tables = [Table("practicality", measured)]
     heading = Heading("Practicality")
-    chosen = {
-        "texture_painted_area_m2": ("painted, m²", 1),
-        "texture_colours": ("colours", 0),
-        "texture_blocks": ("blocks", 0),
-        "texture_block_roof_u_cm": ("block on the roof, cm", 0),
-        "texture_boundary_m": ("boundaries, m", 0),
-        "shape_added_volume_m3": ("added volume, m³", 2),
-        "shape_share_self_intersecting": ("share self-intersecting", 2),
-    }
-    rows = [
-        [
-            row["attack"],
-            sign(row["practicality"]),
-            *(number(row.get(key), digits) for key, (_, digits) in chosen.items()),
-        ]
-        for row in measured
-    ]
-    if not rows:
+    if not measured:
         return Part(tables, [heading])
     text = "The paper’s signs, summed, and means over the test fleet measured beside them."
-    labels = [label for label, _ in chosen.values()]
-    grid = Grid(["attack", "practicality", *labels], rows)
+    grid = Grid.of(
+        measured,
+        [
+            ("attack", "attack"),
+            ("practicality", lambda row: sign(row["practicality"])),
+            ("painted, m²", value("texture_painted_area_m2")),
+            ("colours", value("texture_colours", 0)),
+            ("blocks", value("texture_blocks", 0)),
+            ("block on the roof, cm", value("texture_block_roof_u_cm", 0)),
+            ("boundaries, m", value("texture_boundary_m", 0)),
+            ("added volume, m³", value("shape_added_volume_m3", 2)),
+            ("share self-intersecting", value("shape_share_self_intersecting", 2)),
+        ],
+    )
     return Part(tables, [heading, text, grid])
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -36,15 +36,16 @@ _Magnitudes = Annotated[tuple[_Magnitude, ...], Meta(max_length=100)]
 _Few = Annotated[int, Meta(ge=1, le=100)]
 _Word = Annotated[str, Meta(max_length=100)]
 _Textures = Annotated[tuple[_Word, ...], Meta(max_length=50)]
+_Text = Annotated[str, Meta(max_length=300)]
 _REMEDY = "start from quick.json or paper.json"
 
 
 @dataclass(frozen=True)
 class Resources:
-    """What a step that computes much asks of a cluster; None where it asks for nothing.
+    """Resources of a step that computes much on a cluster; None asks for nothing.
 
     Attributes:
-        gpu: how many.
+        gpu: number of GPUs.
         mem_mb: memory in megabytes.
         runtime: minutes.
     """
@@ -54,7 +55,7 @@ class Resources:
     runtime: Annotated[int, Meta(ge=1, le=1_000_000)] | None = None
 
     def asked(self) -> dict[str, int]:
-        """Gives what is asked for, by name."""
+        """Returns the resources that are set."""
         return {name: value for name, value in vars(self).items() if value is not None}
 
 
@@ -63,50 +64,44 @@ class Preset:
     """All settings of a reproduction.
 
     Attributes:
-        seed: of everything; repeat k of an attack takes seed + k.
-        detectors: attacked together, judged one by one (section 3.2).
-        size: of the detectors, slim or full.
-        world: how much ground, how many vehicles and scenes.
-        training: per detector, what differs from its usual `TrainingSettings`; of those that come
-            trained it is not used.
-        attack: how everything is learnt; steps, seed and kept copies are said elsewhere here.
+        seed: seed of everything; repeat k of an attack takes seed + k.
+        detectors: detectors that are attacked together and scored one by one (section 3.2).
+        size: size of the detectors, slim or full.
+        world: ground, vehicles and scenes.
+        training: changes of `TrainingSettings` per detector that the run trains.
+        attack: settings of all attacks but for steps, seed and kept copies.
         attack_image_px: image side in attacks.
-        attack_steps: by kind of attack.
-        textures: constraints of the textures, such as PixFcMa; of the paper's 12, Fc and PixFc also
-            make parallel combinations.
+        attack_steps: steps by kind of attack.
+        textures: constraints of the textures, such as PixFcMa; Fc and PixFc also make parallel
+            combinations.
         repeats: attacks of each kind, from different seeds.
-        texture_repeats: by texture, repeats of its own where they are more.
-        draws: of each random control (section 5.4).
+        texture_repeats: larger number of repeats by texture.
+        draws: draws of each random control (section 5.4).
         magnitudes: PM of shapes alone and of combinations (section 5.5).
-        combined_magnitudes: by texture, PM of its combinations where they are others.
-        transfer: textures that are also attacked on single detectors, and on all but one.
-        features: textures at whose vehicles the detectors' features are stored, of the first repeat
-            and with a random control and the best plain paint beside it; the report shows them.
-        weather: textures that are also learnt in all weathers; they, those learnt on clear days and
-            their random controls are judged in every weather.
-        weather_images: how many test images that takes, one weather each.
-        check_scenes: test scenes on which detectors are checked before the attacks, with as many
-            draws of each control; 0 for no check.
-        cycles_repeats: repeats and random draws that the Cycles column has, where it is asked for.
-        cycles_headlines: learnt camouflages of which the Cycles column has all repeats, as many
-            draws of their controls, and the controls that are chosen and not learnt.
-        ladder_steps: after which the first repeat of every attack is also scored as it is by then.
-        ladder_magnitude: PM of the shapes and combinations for which that is done, and at which
-            combinations are set beside their textures under random shapes.
-        score_batch: camouflages scored in one step; a quarter of them where Cycles draws, which
-            takes minutes for each.
+        combined_magnitudes: other PM of combinations by texture.
+        transfer: textures that are also optimised on single detectors, and on all but one.
+        features: textures for which the detectors' features are stored, with a random control and
+            the best plain paint.
+        weather: textures that are also optimised in all weathers and scored in every weather.
+        weather_images: test images in weather, one weather each.
+        check_scenes: test scenes of the precheck; 0 for none.
+        cycles_repeats: repeats and draws in the Cycles column.
+        cycles_headlines: camouflages with all repeats, as many draws and the chosen controls in the
+            Cycles column.
+        ladder_steps: steps after which the first repeat of every attack keeps a copy.
+        ladder_magnitude: PM of the shapes and combinations that keep copies, and of random shapes
+            on optimised textures.
+        score_batch: camouflages scored in one step; a quarter of them on Cycles.
         threads: CPU threads of each step.
-        resources: what each step that renders, trains, attacks or scores asks of a cluster.
-        reference: those of the detectors that are taken as they come with skyproof, with what their
-            check found; the others are trained and checked in the run.
-        best_of: of how many random draws the best is taken as a control of its own, beside the best
-            plain paint and a random search; 0 for no such controls, which older runs have not.
-        trainings: of every detector, from different seeds. On each the attacks on all detectors are
-            learnt and scored anew, beside the same random draws; everything else is of the first.
-        blur_sigma_px: blur of the vehicles: a number of pixels, or "paper" for the paper's 2.4;
-            None for that of the ground under them.
-        title: of the report.
-        preset: name of the preset that a run folder's settings came from.
+        resources: resources of each step that renders, trains, attacks or scores.
+        reference: detectors that are taken as they come with skyproof.
+        best_of: draws of the best-of-N control; 0 for no plain-paint, best-of-N and search control.
+        trainings: trainings of every detector, from different seeds. The attacks on all detectors
+            are repeated on each.
+        blur_sigma_px: blur of the vehicles in pixels, or "paper" for the paper's 2.4; None for the
+            blur of the ground.
+        title: title of the report.
+        preset: name of the preset of a run folder's settings.
     """
 
     seed: Seed
@@ -117,7 +112,7 @@ class Preset:
     attack: AttackSettings
     attack_image_px: ImageSide
     attack_steps: AttackSteps
-    textures: Annotated[tuple[_Word, ...], Meta(max_length=50)]
+    textures: _Textures
     repeats: _Few
     draws: _Few
     cycles_repeats: _Few
@@ -138,63 +133,65 @@ class Preset:
     weather_images: Count = 160
     texture_repeats: Mapping[_Word, _Few] = field(default_factory=dict)
     blur_sigma_px: BlurChoice | None = None
-    title: Annotated[str, Meta(max_length=300)] = ""
+    title: _Text = ""
     check_scenes: WholeNumber = 60
-    preset: Annotated[str, Meta(max_length=300)] = field(default="", compare=False)
+    preset: _Text = field(default="", compare=False)
 
     def __post_init__(self) -> None:
-        for architecture in self.reference:
-            reference_folder(architecture)
+        for mistake in (*self._names(), *self._numbers(), *self._references()):
+            raise ConfigurationError(mistake)
+
+    def _names(self) -> Iterator[str]:
+        """Mistakes in names of textures and camouflages."""
         for texture in (*self.textures, *self.combined_magnitudes, *self.texture_repeats):
             TextureConstraints.parse(texture)
         for setting in ("transfer", "features", "weather"):
             for text in getattr(self, setting):
                 name = CamouflageName.parse(text)
                 if name.kind != "texture" or name.random or name.variant or name.repeat:
-                    raise ConfigurationError(
-                        f"{setting} expects learnt textures such as T-U, got {text!r}."
-                    )
-                # Transfer may be asked of one detector alone; these compare with what is learnt.
+                    yield f"{setting} expects optimised textures such as T-U, got {text!r}."
+                # A transfer attack may have one detector alone; the others compare two attacks.
                 texture = text.removeprefix("T-")
                 if setting != "transfer" and texture not in self.textures:
-                    raise ConfigurationError(
-                        f"{setting} names {text}, but textures has no {texture}; name it there."
-                    )
-        for texture, repeats in self.texture_repeats.items():
-            if repeats < self.repeats:
-                raise ConfigurationError(
-                    f"texture_repeats expects at least the {self.repeats} repeats that every "
-                    f"attack has, got {repeats} of {texture}; give more, or leave it out."
-                )
+                    yield f"{setting} names {text}, but textures has no {texture}; name it there."
         for text in self.cycles_headlines:
             name = CamouflageName.parse(text)
             if name.random or name.variant or name.repeat:
-                raise ConfigurationError(
-                    f"cycles_headlines expects learnt camouflages such as T-U, got {text!r}."
+                yield f"cycles_headlines expects optimised camouflages such as T-U, got {text!r}."
+
+    def _numbers(self) -> Iterator[str]:
+        """Mistakes in numbers of repeats, and in image sides."""
+        for texture, repeats in self.texture_repeats.items():
+            if repeats < self.repeats:
+                yield (
+                    f"texture_repeats expects at least the {self.repeats} repeats that every "
+                    f"attack has, got {repeats} of {texture}; give more, or leave it out."
                 )
-        if len(set(self.reference)) < len(self.reference):
-            raise ConfigurationError(
-                f"reference expects each detector once, got {', '.join(self.reference)}."
-            )
-        strangers = [name for name in self.reference if name not in self.detectors]
-        if strangers:
-            raise ConfigurationError(
-                f"reference names {strangers[0]}, which is none of the preset's detectors "
-                f"({', '.join(self.detectors)}); name it there, too."
-            )
-        if self.trainings > 1 and self.reference:
-            raise ConfigurationError(
-                f"trainings {self.trainings} expects detectors that the run trains, all by one "
-                f"recipe, but {self.reference[0]} comes trained once; take it out of reference."
-            )
         world = self.world
         tile_px = tiling_for_images(world.image_px, gsd_m=world.gsd_m, imagery=False).size_px
         if math.ceil(self.attack_image_px * math.sqrt(2)) + 2 > tile_px:
-            raise ConfigurationError(
+            yield (
                 f"attack_image_px {self.attack_image_px} is larger than what can be cut from tiles "
-                f"for images of {self.world.image_px} px; give at most world.image_px."
+                f"for images of {world.image_px} px; give at most world.image_px."
             )
         world.scenes("attack", self.attack_image_px).half_m(world.gsd_m)
+
+    def _references(self) -> Iterator[str]:
+        """Mistakes in the detectors that come with skyproof."""
+        for architecture in self.reference:
+            reference_folder(architecture)
+            if architecture not in self.detectors:
+                yield (
+                    f"reference names {architecture}, which is none of the preset's detectors "
+                    f"({', '.join(self.detectors)}); name it there, too."
+                )
+        if len(set(self.reference)) < len(self.reference):
+            yield f"reference expects each detector once, got {', '.join(self.reference)}."
+        if self.trainings > 1 and self.reference:
+            yield (
+                f"trainings {self.trainings} expects detectors that the run trains, all by one "
+                f"recipe, but {self.reference[0]} comes trained once; take it out of reference."
+            )
 
     @classmethod
     def parse(cls, values: Mapping[str, Any], place: str = "The preset") -> Preset:
@@ -210,7 +207,7 @@ def read_preset(preset: str) -> tuple[str, Path, dict[str, Any], Preset]:
     """Reads a preset: "quick", "paper", "reference", or the path of a JSON file of their form.
 
     Returns:
-        Its name, its file, its values as the file has them, and what they say.
+        Its name, its file, its values as the file has them, and the settings.
 
     Raises:
         ConfigurationError: neither, or the file is no preset.

@@ -8,18 +8,24 @@ from pathlib import Path
 
 from markupsafe import Markup, escape
 
+from skyproof.console import say
 from skyproof.errors import RunFolderError
 from skyproof.files import alone, write_bytes
-from skyproof.layout import Layout
 from skyproof.report.precheck import precheck_part
 from skyproof.report.report import Section, write_report
 from skyproof.reproduction.cells import Block, Figure, Grid, Heading, as_markdown, number
+from skyproof.reproduction.layout import PaperLayout
 from skyproof.reproduction.page import paper_parts
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.reproduction.tables import shape_table, texture_table
 from skyproof.results.result import MAIN_MATCH
 from skyproof.results.results import RENDERER, Results
 from skyproof.words import detector_name
+
+
+def write_paper_report(*, out: Path) -> None:
+    """Writes the report of the run folder `out`."""
+    say(f"Report: {write_reproduction_report(out).resolve()}")
 
 
 def write_reproduction_report(run_folder: str | Path) -> Path:
@@ -36,7 +42,7 @@ def write_reproduction_report(run_folder: str | Path) -> Path:
         RunFolderError: the page or the tables cannot be written, or `tables/` may not be ours.
     """
     results = Results.open(run_folder)
-    layout = Layout(results.folder)
+    layout = PaperLayout(results.folder)
     with alone(layout.tables):
         if layout.tables.exists() and not layout.results.exists():
             raise RunFolderError(

@@ -12,8 +12,8 @@ import numpy as np
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.files import is_leftover
-from skyproof.layout import Layout
 from skyproof.reproduction.curves import Curve, curve_families, practicality_curve
+from skyproof.reproduction.layout import PaperLayout
 from skyproof.reproduction.paper_results import PAPER_RESULTS
 from skyproof.reproduction.stored_features import Features, read_features
 from skyproof.reproduction.stored_looks import Looks, read_looks
@@ -36,8 +36,8 @@ class Reproduction:
         cycles: whether anything was scored on Cycles.
         names: of all camouflages, without repeats.
         records: by attack with its repeat, what was recorded while it was learnt.
-        judges: by table, the results of detectors that only judge, as far as they are there.
-        looks_folder: the folder that says what camouflages look like.
+        layout: the paths of the run folder.
+        held_out: results of held-out detectors by table, as far as they are there.
     """
 
     def __init__(self, results: Results) -> None:
@@ -46,8 +46,18 @@ class Reproduction:
         self.cycles = CYCLES in results.renderers
         self.names = [str(name) for name in results.names]
         self.records: Mapping[str, AttackRecord] = results.records
-        self.judges = _judges(Layout(results.folder))
-        self.looks_folder = results.folder / "looks"
+        self.layout = PaperLayout(results.folder)
+        self.held_out = self._held_out()
+
+    def _held_out(self) -> dict[str, Results]:
+        """The results of each table that has scores."""
+        folder = self.layout.held_out
+        tables = sorted(folder.iterdir()) if folder.is_dir() else []
+        return {
+            path.name: Results.open(path)
+            for path in tables
+            if not is_leftover(path) and any(path.glob("scores/*/score.json"))
+        }
 
     @property
     def comparable(self) -> bool:
@@ -98,7 +108,7 @@ class Reproduction:
         Raises:
             StoredFileError: `looks.json` is damaged.
         """
-        return read_looks(self.looks_folder)
+        return read_looks(self.layout.looks)
 
     @cached_property
     def features(self) -> list[Features]:
@@ -107,7 +117,7 @@ class Reproduction:
         Raises:
             StoredFileError: the table of features is damaged.
         """
-        path = self.results.folder / "features.parquet"
+        path = self.layout.features
         return read_features(path) if path.exists() else []
 
     @property
@@ -125,15 +135,6 @@ def point_name(family: str, magnitude: float) -> str:
     if magnitude > 0 or family == "S-O":
         return f"{family}@{magnitude:g}"
     return "T-" + family.split("-")[1]
-
-
-def _judges(layout: Layout) -> dict[str, Results]:
-    """Reads what was scored of each table; one whose scores are still to come is left out."""
-    if not layout.judges.is_dir():
-        return {}
-    tables = sorted(path for path in layout.judges.iterdir() if not is_leftover(path))
-    scored = [path for path in tables if any(Layout(path).scores.glob("*/score.json"))]
-    return {path.name: Results.open(path) for path in scored}
 
 
 def _largest(values: Sequence[float | None]) -> float | None:

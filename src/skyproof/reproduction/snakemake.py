@@ -28,13 +28,13 @@ _PATIENCE_S = 30.0
 
 
 def shell_line(step: Step, config: Mapping[str, Any]) -> Callable[[object], str]:
-    """Returns what Snakemake takes for the shell's words of a step: every one quoted.
+    """Returns the shell's words for a step in a process of its own, every one quoted.
 
     It is a function, because Snakemake looks for wildcards in text, and a path may have braces.
 
     Args:
-        step: the step, which a process of its own does in the run folder.
-        config: the values of `--config`: device and blender.
+        step: the step.
+        config: the values of `--config`, device and blender.
     """
     words = [sys.executable, "-m", "skyproof.reproduction", "step", step.id]
     line = shlex.join([*words, *(f"--{name}={value}" for name, value in config.items())])
@@ -44,32 +44,28 @@ def shell_line(step: Step, config: Mapping[str, Any]) -> Callable[[object], str]
 def output_of(
     step: Step, directory: Callable[[str], Any], update: Callable[[str], Any]
 ) -> list[Any]:
-    """Returns a step's outputs as Snakemake is to take them.
+    """Returns a step's outputs for Snakemake.
 
     Args:
-        step: whose.
+        step: the step.
         directory: Snakemake's mark of a folder.
-        update: Snakemake's mark of a file that a stopped job is not to lose: what lies beside it is
-            what the next try goes on from.
+        update: Snakemake's mark of a file that a stopped job is not to lose, because the next try
+            goes on from the files beside it.
     """
     paths = [str(path) for path in step.outputs]
-    # What is renewed is known by what was there before: a report replaces its own pages alone.
+    # The report is renewed: it replaces its own pages alone, and knows them by the old ones.
     if step.growing or step.renewed:
         return [update(path) for path in paths]
     return [path if Path(path).suffix else directory(path) for path in paths]
 
 
-def snakemake_words(folder: Path, config: Mapping[str, str]) -> list[str]:
-    """Returns the command line that starts Snakemake on a run folder, but for its executor.
-
-    Args:
-        folder: the run folder, with its `config.json`.
-        config: what may change from call to call: device and blender.
-    """
+def snakemake_words(folder: Path, blender: Path | None, device: str | None = None) -> list[str]:
+    """Returns the command line that starts Snakemake on a run folder, but for its executor."""
     words = [sys.executable, "-m", "snakemake", "--snakefile", str(SNAKEFILE)]
     words += ["--directory", str(folder.resolve())]
-    if config:
-        words += ["--config", *(f"{name}={value}" for name, value in config.items())]
+    config = {"device": device, "blender": blender}
+    told = [f"{name}={value}" for name, value in config.items() if value is not None]
+    words += ["--config", *told] if told else []
     # A newer version of the package does not throw away what an older one took hours for.
     return [*words, "--rerun-triggers", "mtime"]
 
@@ -78,7 +74,7 @@ def run_side_by_side(plan: Plan, run: Run, command: Sequence[str], cores: int, h
     """Runs Snakemake on a plan, and prints a line per finished step.
 
     Args:
-        plan: the same that the workflow reads.
+        plan: the plan that the workflow reads, too.
         run: the run folder.
         command: Snakemake's words, options of its executor included.
         cores: how many steps run side by side, for the time left.
@@ -86,7 +82,7 @@ def run_side_by_side(plan: Plan, run: Run, command: Sequence[str], cores: int, h
             process, however that ends (`skyproof.reproduction.watched`).
 
     Raises:
-        RunFolderError: a step failed; names it and its log.
+        RunFolderError: a step failed; names its log.
     """
     place = run.folder / "snakemake.log"
     before = set(_finished(run.folder, plan))
@@ -129,7 +125,7 @@ def run_side_by_side(plan: Plan, run: Run, command: Sequence[str], cores: int, h
 def _say_finished(
     folder: Path, plan: Plan, cores: int, before: set[FinishedJob]
 ) -> set[FinishedJob]:
-    """Says what is new; a step that was done again counts as new, as it took another time."""
+    """Prints new steps; one that was done again counts as new, as it took another time."""
     finished = _finished(folder, plan)
     left_s = time_left_s(plan.steps, {job.id: job.seconds for job in finished}, cores)
     titles = {step.id: step.title for step in plan.steps}
@@ -163,7 +159,7 @@ def _failure(folder: Path, text: str) -> str:
 
 
 def _last_words(path: Path) -> str:
-    """The last line of a log; empty where there is none."""
+    """The last line of a log; empty without one."""
     if not path.is_file():
         return ""
     lines = path.read_text(encoding="utf-8", errors="replace").split("\n")

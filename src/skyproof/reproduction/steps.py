@@ -1,261 +1,381 @@
-"""The steps after the images: detectors, camouflages, scores, report."""
+"""The steps of a reproduction: the command of each, the files that it needs, and its outputs."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from skyproof.assessment.run import START_S, Step
 from skyproof.attacks.settings import AttackSettings
 from skyproof.camouflage.name import CamouflageName
 from skyproof.cli.attack import Attack
+from skyproof.cli.ground import Ground
 from skyproof.cli.precheck import Precheck
+from skyproof.cli.render import Render
 from skyproof.cli.score import Score
 from skyproof.cli.train import Train
+from skyproof.cli.vehicles import Vehicles
 from skyproof.cycles.settings import Rendering
-from skyproof.detectors.settings import TRAINING_PRESETS, TrainingChanges
+from skyproof.detectors.settings import TRAINING_PRESETS
+from skyproof.imagery.settings import tiling_for_images
 from skyproof.layout import Layout
-from skyproof.reproduction.attack_job import AttackJob
-from skyproof.reproduction.plan import command_step
-from skyproof.reproduction.world import WorldSizes, render_s
-from skyproof.scenes.places import Places
+from skyproof.reproduction.jobs import AttackJob
+from skyproof.reproduction.layout import PaperLayout
+from skyproof.reproduction.plan import command_step, function_step
+from skyproof.reproduction.preset import Preset
+from skyproof.reproduction.world import MOST_SCENES, Rendered
+from skyproof.scenes.splits import Split
 
-# Seconds on one core for a million pixels before one detector; for the time left alone.
+# Seconds on one core for a million pixels (before one detector), for a vehicle, or for a
+# camouflage; for the time left alone.
+_GROUND_S = 2.6
+_VEHICLE_S = 0.08
+_RENDER_S = {"torch": 3.2, "cycles": 30.0}
 _TRAIN_S = 2.0
 _ATTACK_S = 4.0
 _DETECT_S = 3.0
-_TRIALS = 62
-"""Changes that a check tries on every scene, but for random controls."""
-_CONTROLS = 6
+_CONTROL_S = _LOOK_S = 0.1
+_PRECHECK_CHANGES = 62
+"""Changes that a precheck tries on every scene, but for random controls."""
+_PRECHECK_CONTROLS = 6
+_TORCH = Rendering()
+_SCENES = "draw_scenes:draw_scenes"
+_FEATURES = "gather_features:store_features"
 
 
-def train_step(
-    layout: Layout,
-    sizes: WorldSizes,
-    name: str,
-    size: str,
-    changes: TrainingChanges,
-    seed: int,
-    *,
-    device: str = "auto",
-) -> Step:
-    """Returns the step that trains one detector on the rendered images."""
-    training = layout.dataset("train")
-    validation = layout.dataset("validation")
-    command = Train(
-        detector=name,
-        data=training,
-        validation=validation,
-        out=layout.detector(name),
-        size=size,
-        settings=changes,
-        seed=seed,
-        device=device,
-    )
-    settings = replace(TRAINING_PRESETS[name, size], **changes)
-    megapixels = sizes.megapixels(settings.steps * settings.batch_size)
-    return command_step(
-        "train",
-        name,
-        command,
-        (training, validation),
-        (layout.detector(name) / "detector.json",),
-        growing=True,
-        effort_s=START_S + _TRAIN_S * megapixels,
-    )
-
-
-def check_step(
-    layout: Layout,
-    sizes: WorldSizes,
-    names: Sequence[str],
-    scenes: int,
-    draws: int,
-    seed: int,
-    *,
-    device: str = "auto",
-) -> Step:
-    """Returns the step that tells whether the detectors are worth attacking.
+class Steps:
+    """Makes the steps of a preset in a run folder.
 
     Args:
-        layout: the run folder's.
-        sizes: of the run.
-        names: of all detectors.
-        scenes: how many of the test scenes are taken, at most.
-        draws: of every random control.
-        seed: of the controls and the bootstrap.
+        preset: settings of the reproduction.
+        run: paths of the run folder, as the steps are to name them.
         device: auto, cpu or cuda.
+        training: number of the training whose detectors are attacked; 0 for the run's own.
     """
-    folders = tuple(layout.detector(name) for name in names)
-    scenes = min(scenes, sizes.test_images)
-    command = Precheck(
-        detectors=folders,
-        backgrounds=layout.backgrounds,
-        fleet=layout.fleets / "test",
-        scenes=layout.scenes("test"),
-        scenes_count=scenes,
-        draws=draws,
-        seed=seed,
-        device=device,
-    )
-    inputs = [layout.backgrounds, layout.fleets, layout.scenes("test")]
-    inputs += [folder / "detector.json" for folder in folders]
-    images = scenes * (1 + _TRIALS + _CONTROLS * draws)
-    each_s = render_s(Rendering()) + _DETECT_S * len(names)
-    return command_step(
-        "check",
-        "detectors",
-        command,
-        tuple(inputs),
-        tuple(layout.precheck(name) for name in names),
-        effort_s=START_S + each_s * sizes.megapixels(images),
-    )
+
+    def __init__(self, preset: Preset, run: PaperLayout, device: str, training: int = 0) -> None:
+        self._preset = preset
+        self._sizes = preset.world
+        self._run = run
+        self._own = run.training(training)
+        self._device = device
+        self._test: dict[str, Any] = {"backgrounds": run.backgrounds, "fleet": run.fleets / "test"}
+
+    @property
+    def detectors(self) -> tuple[Path, ...]:
+        """The folders of the attacked detectors."""
+        return tuple(map(self._own.detector, self._preset.detectors))
+
+    def ground(self) -> Step:
+        """Draws ground."""
+        sizes, out = self._sizes, self._run.backgrounds
+        tiling = tiling_for_images(sizes.image_px, gsd_m=sizes.gsd_m, imagery=False)
+        command = Ground(
+            out=out,
+            tiles=sizes.tiles,
+            blur_sigma_px=self._preset.blur_sigma_px,
+            seed=self._preset.seed,
+            tiling=tiling,
+        )
+        effort_s = START_S + _GROUND_S * sum(sizes.tiles) * tiling.size_px**2 / 1e6
+        return command_step("ground", "ground", command, (), (out,), effort_s=effort_s)
+
+    def fleets(self) -> Step:
+        """Draws the four fleets."""
+        sizes, out = self._sizes, self._run.fleets
+        command = Vehicles(
+            out=out,
+            counts=sizes.vehicles,
+            seed=self._preset.seed,
+            paints=sizes.paints,
+            shapes=sizes.shapes,
+        )
+        effort_s = START_S + _VEHICLE_S * sum(sizes.vehicles)
+        return command_step("vehicles", "fleets", command, (), (out,), effort_s=effort_s)
+
+    def scenes(self, split: Rendered) -> Step:
+        """Draws the scenes of a split."""
+        run, ground = self._run, _ground_of(split)
+        arguments = {
+            "backgrounds": run.backgrounds,
+            "fleet": run.fleets / ground,
+            "out": run.scenes(split),
+            "split": ground,
+            "count": self._count(split),
+            "settings": self._sizes.scenes(split),
+            "seed": self._preset.seed,
+        }
+        outputs = (run.scenes(split),)
+        return function_step("scenes", split, _SCENES, arguments, self._world(), outputs)
+
+    def render(self, split: Rendered, rendering: Rendering = _TORCH) -> Step:
+        """Renders a split without camouflage."""
+        run = self._run
+        name = _rendered(split, rendering)
+        command = Render(
+            **vars(rendering),
+            scenes=run.scenes(split),
+            backgrounds=run.backgrounds,
+            fleet=run.fleets / _ground_of(split),
+            out=run.dataset(name),
+            device=self._device,
+        )
+        return command_step(
+            "render",
+            name,
+            command,
+            self._world(run.scenes(split)),
+            (run.dataset(name),),
+            extra=rendering.renderer == "cycles",
+            effort_s=self._effort_s(_RENDER_S[rendering.renderer], self._count(split)),
+        )
+
+    def train(self, name: str, seed: int) -> Step:
+        """Trains one detector on the rendered images."""
+        preset, run, own = self._preset, self._run, self._own
+        changes = preset.training.get(name, {})  # type: ignore[call-overload]
+        command = Train(
+            detector=name,
+            data=run.dataset("train"),
+            validation=run.dataset("validation"),
+            out=own.detector(name),
+            size=preset.size,
+            settings=changes,
+            seed=seed,
+            device=self._device,
+        )
+        settings = replace(TRAINING_PRESETS[name, preset.size], **changes)
+        return command_step(
+            "train",
+            name,
+            command,
+            (run.dataset("train"), run.dataset("validation")),
+            (own.detector(name) / "detector.json",),
+            growing=True,
+            effort_s=self._effort_s(_TRAIN_S, settings.steps * settings.batch_size),
+        )
+
+    def precheck(self, names: Sequence[str]) -> Step:
+        """Prechecks the detectors of these names."""
+        preset, run, own = self._preset, self._run, self._own
+        detectors = tuple(map(own.detector, names))
+        scenes = min(preset.check_scenes, self._sizes.test_images)
+        command = Precheck(
+            **self._test,
+            detectors=detectors,
+            scenes=run.scenes("test"),
+            scenes_count=scenes,
+            draws=preset.draws,
+            seed=preset.seed,
+            device=self._device,
+        )
+        images = scenes * (1 + _PRECHECK_CHANGES + _PRECHECK_CONTROLS * preset.draws)
+        return command_step(
+            "check",
+            "detectors",
+            command,
+            self._world(run.scenes("test"), detectors=detectors),
+            tuple(map(own.precheck, names)),
+            effort_s=self._effort_s(_RENDER_S["torch"] + _DETECT_S * len(names), images),
+        )
+
+    def attack(self, job: AttackJob) -> Step:
+        """Optimises or chooses one camouflage."""
+        run, own, name = self._run, self._own, str(job.name)
+        texture = own.camouflage(job.texture) if job.texture else None
+        detectors = tuple(map(own.detector, job.detectors))
+        command = Attack(
+            names=(name,),
+            out=own.camouflages,
+            detectors=detectors,
+            backgrounds=run.backgrounds,
+            fleet=run.fleets / "attack",
+            texture=texture,
+            image_px=self._preset.attack_image_px,
+            conditions=job.conditions,
+            places=self._sizes.test_places,
+            draws=job.best_of,
+            settings=job.settings,
+            device=self._device,
+        )
+        megapixels = job.images * self._preset.attack_image_px**2 / 1e6
+        return command_step(
+            "choose" if job.name.choice else "attack",
+            name,
+            command,
+            self._world(detectors=detectors, camouflages=[texture] if texture else []),
+            (own.camouflage(name) / "camouflage.json",),
+            growing=True,
+            effort_s=START_S + _ATTACK_S * megapixels,
+        )
+
+    def controls(self, names: Sequence[str], texture: str | None = None) -> Step:
+        """Draws random controls, or random shapes on the texture of a finished camouflage."""
+        run, own = self._run, self._own
+        under = own.camouflage(texture) if texture else None
+        command = Attack(
+            names=tuple(names),
+            out=own.camouflages,
+            backgrounds=run.backgrounds,
+            texture=under,
+            settings=AttackSettings(seed=self._preset.seed),
+        )
+        return command_step(
+            "control",
+            f"shapes-{texture}" if texture else "random",
+            command,
+            (run.backgrounds, *([under / "camouflage.json"] if under else [])),
+            tuple(own.camouflage(name) / "camouflage.json" for name in names),
+            growing=True,
+            effort_s=START_S + _CONTROL_S * len(names),
+        )
+
+    def score(
+        self,
+        name: str,
+        camouflages: Sequence[str],
+        *,
+        detectors: Sequence[Path],
+        out: Layout,
+        prefix: str = "",
+        split: Rendered = "test",
+        rendering: Rendering = _TORCH,
+        empty: bool = False,
+    ) -> Step:
+        """Scores camouflages.
+
+        Args:
+            name: name of the score folder.
+            camouflages: folders relative to `camouflages/`.
+            detectors: detector folders.
+            out: run folder whose `scores/` gets the score folder.
+            prefix: text before the name in the step's name.
+            split: scenes that are rendered, test or weather.
+            rendering: the renderer.
+            empty: whether false alarms are also counted on ground without vehicles.
+        """
+        run = self._run
+        original = run.dataset(_rendered(split, rendering))
+        grounds = [run.dataset("empty")] if empty else []
+        command = Score(
+            **vars(rendering),
+            **self._test,
+            detectors=tuple(detectors),
+            out=out.score(name),
+            original=original,
+            camouflages=tuple(map(self._camouflage, camouflages)),
+            frames=tuple(f"ground without vehicles={e}@{self._sizes.gsd_m}" for e in grounds),
+            frame_classes=("vehicle",) if empty else ("car", "minibus"),
+            seed=self._preset.seed,
+            device=self._device,
+        )
+        # Copies kept on the way lie inside the folder of their attack.
+        attacks = dict.fromkeys(folder.partition("/")[0] for folder in camouflages)
+        each_s = _RENDER_S[rendering.renderer] + _DETECT_S * len(detectors)
+        return command_step(
+            "score",
+            f"{prefix}{name}",
+            command,
+            self._world(
+                original,
+                *grounds,
+                detectors=detectors,
+                camouflages=[self._camouflage(attack) for attack in attacks],
+            ),
+            (out.score(name),),
+            extra=rendering.renderer == "cycles",
+            effort_s=self._effort_s(each_s, self._count(split) * (1 + len(camouflages))),
+        )
+
+    def looks(self, names: Sequence[str]) -> Step:
+        """Measures what camouflages look like."""
+        arguments = {"out": self._run.looks, **self._on_test_scenes(names)}
+        effort_s = 2 * START_S + _LOOK_S * len(names)
+        return self._shown("looks", "measure_looks:write_looks", arguments, effort_s)
+
+    def features(self, names: Sequence[str]) -> Step:
+        """Stores the attacked detectors' features."""
+        arguments = {
+            "out": self._run.features,
+            "detectors": self.detectors,
+            "seed": self._preset.seed,
+            **self._on_test_scenes(names),
+        }
+        images = min(self._sizes.test_images, MOST_SCENES) * len(names)
+        effort_s = self._effort_s(_RENDER_S["torch"], images)
+        return self._shown("features", _FEATURES, arguments, effort_s, self._device)
+
+    def report(self, scores: Sequence[Step], checked: Sequence[str]) -> Step:
+        """Merges all scores and writes the report."""
+        run = self._run
+        prechecks = [run.precheck(name) for name in checked]
+        return function_step(
+            "report",
+            "report",
+            "report:write_paper_report",
+            {"out": run.folder},
+            (*prechecks, *(folder for step in scores for folder in step.outputs)),
+            (run.results, run.report),
+            renewed=True,
+            effort_s=2 * START_S,
+        )
+
+    def _on_test_scenes(self, names: Sequence[str]) -> dict[str, Any]:
+        camouflages = tuple(map(self._own.camouflage, names))
+        return {"original": self._run.dataset("test"), "camouflages": camouflages, **self._test}
+
+    def _shown(
+        self,
+        kind: str,
+        function: str,
+        arguments: dict[str, Any],
+        effort_s: float,
+        device: str | None = None,
+    ) -> Step:
+        needed = {key: arguments.get(key, ()) for key in ("detectors", "camouflages")}
+        inputs = self._world(arguments["original"], **needed)
+        outputs = (arguments["out"],)
+        return function_step(
+            kind, kind, function, arguments, inputs, outputs, device, effort_s=effort_s
+        )
+
+    def _world(
+        self, *more: Path, detectors: Sequence[Path] = (), camouflages: Sequence[Path] = ()
+    ) -> tuple[Path, ...]:
+        """The files that a step needs: ground, vehicles, and these."""
+        return (
+            self._run.backgrounds,
+            self._run.fleets,
+            *more,
+            *(folder / "detector.json" for folder in detectors),
+            *(folder / "camouflage.json" for folder in camouflages),
+        )
+
+    def _camouflage(self, folder: str) -> Path:
+        """A camouflage's folder; random controls are the same for every training."""
+        random = CamouflageName.parse(folder.partition("/")[0]).random
+        return (self._run if random else self._own).camouflage(folder)
+
+    def _count(self, split: Rendered) -> int:
+        counts = {
+            "train": self._sizes.training_images,
+            "validation": self._sizes.validation_images,
+            "weather": self._preset.weather_images,
+        }
+        return counts.get(split, self._sizes.test_images)
+
+    def _effort_s(self, megapixel_s: float, images: int) -> float:
+        return START_S + megapixel_s * images * self._sizes.image_px**2 / 1e6
 
 
-def attack_step(
-    layout: Layout,
-    job: AttackJob,
-    image_px: int,
-    *,
-    places: Places = "uniform",
-    device: str = "auto",
-) -> Step:
-    """Returns the step that optimises or chooses one camouflage, on vehicles at these places."""
-    texture = layout.camouflage(job.texture) if job.texture else None
-    folders = tuple(layout.detector(name) for name in job.detectors)
-    command = Attack(
-        names=(job.name,),
-        out=layout.camouflages,
-        detectors=folders,
-        backgrounds=layout.backgrounds,
-        fleet=layout.fleets / "attack",
-        texture=texture,
-        image_px=image_px,
-        conditions=job.conditions,
-        places=places,
-        draws=job.best_of,
-        settings=job.settings,
-        device=device,
-    )
-    inputs = [layout.backgrounds, layout.fleets]
-    inputs += [folder / "detector.json" for folder in folders]
-    if texture:
-        inputs.append(texture / "camouflage.json")
-    chosen = CamouflageName.parse(job.name).choice is not None
-    return command_step(
-        "choose" if chosen else "attack",
-        job.name,
-        command,
-        tuple(inputs),
-        (layout.camouflage(job.name) / "camouflage.json",),
-        growing=True,
-        effort_s=START_S + _ATTACK_S * job.images * image_px**2 / 1e6,
-    )
+def _rendered(split: Rendered, rendering: Rendering) -> str:
+    """The name of a split's dataset."""
+    return split if rendering.renderer == "torch" else f"{split}-{rendering.renderer}"
 
 
-def control_step(
-    layout: Layout, names: Sequence[str], seed: int, *, texture: str | None = None
-) -> Step:
-    """Returns the step that draws random controls.
-
-    Args:
-        layout: the run folder's.
-        names: of the controls, with their draws.
-        seed: of the draws.
-        texture: name of the finished camouflage on whose texture random shapes are put.
-    """
-    under = layout.camouflage(texture) if texture else None
-    command = Attack(
-        names=tuple(names),
-        out=layout.camouflages,
-        backgrounds=layout.backgrounds,
-        texture=under,
-        settings=AttackSettings(seed=seed),
-    )
-    inputs = [layout.backgrounds] + ([under / "camouflage.json"] if under else [])
-    outputs = tuple(layout.camouflage(name) / "camouflage.json" for name in names)
-    return command_step(
-        "control",
-        f"shapes-{texture}" if texture else "random",
-        command,
-        tuple(inputs),
-        outputs,
-        growing=True,
-        effort_s=START_S + 0.1 * len(names),
-    )
-
-
-def score_step(
-    layout: Layout,
-    sizes: WorldSizes,
-    name: str,
-    camouflages: Sequence[str],
-    detectors: Sequence[str],
-    seed: int,
-    *,
-    empty: bool = False,
-    rendering: Rendering | None = None,
-    weather: bool = False,
-    judged: Layout | None = None,
-    device: str = "auto",
-) -> Step:
-    """Returns the step that judges detectors on the test scenes, with and without camouflages.
-
-    Args:
-        layout: the run folder's.
-        sizes: of the run.
-        name: of the score folder.
-        camouflages: folders relative to `camouflages/`.
-        detectors: names of all that judge.
-        seed: of the bootstrap.
-        empty: whether false alarms are also counted on ground without vehicles.
-        rendering: the renderer; the differentiable one where not given.
-        weather: whether the test scenes in weather are meant.
-        judged: where detectors that only judge lie, and what they judged; where not given, the
-            run's own do.
-        device: auto, cpu or cuda.
-    """
-    chosen = rendering or Rendering()
-    own = judged or layout
-    drawn = "test" if chosen.renderer == "torch" else f"test-{chosen.renderer}"
-    original = layout.dataset("weather" if weather else drawn)
-    out = (layout.weather if weather else own).score(name)
-    frames = (f"ground without vehicles={layout.dataset('empty')}@{sizes.gsd_m}",)
-    command = Score(
-        **vars(chosen),
-        detectors=tuple(own.detector(detector) for detector in detectors),
-        out=out,
-        original=original,
-        camouflages=tuple(_camouflage(layout, folder) for folder in camouflages),
-        backgrounds=layout.backgrounds,
-        fleet=layout.fleets / "test",
-        frames=frames if empty else (),
-        frame_classes=("vehicle",) if empty else ("car", "minibus"),
-        seed=seed,
-        device=device,
-    )
-    inputs = [original, layout.backgrounds, layout.fleets]
-    inputs += [own.detector(detector) / "detector.json" for detector in detectors]
-    inputs += [layout.dataset("empty")] if empty else []
-    # Copies kept on the way lie inside the folder of their attack.
-    attacks = dict.fromkeys(folder.partition("/")[0] for folder in camouflages)
-    inputs += [_camouflage(layout, attack) / "camouflage.json" for attack in attacks]
-    images = sizes.test_images * (1 + len(camouflages))
-    each_s = render_s(chosen) + _DETECT_S * len(detectors)
-    return command_step(
-        "score",
-        # No table's name has a dot, so that no two steps have one name.
-        f"judges.{judged.folder.name}.{name}" if judged else f"weather-{name}" if weather else name,
-        command,
-        tuple(inputs),
-        (out,),
-        extra=chosen.renderer == "cycles",
-        effort_s=START_S + each_s * sizes.megapixels(images),
-    )
-
-
-def _camouflage(layout: Layout, folder: str) -> Path:
-    """A camouflage's folder; what is drawn and not learnt is the same for every training."""
-    drawn = CamouflageName.parse(folder.partition("/")[0]).random
-    return (layout.shared if drawn else layout).camouflage(folder)
+def _ground_of(split: Rendered) -> Split:
+    if split == "empty" or split == "weather":
+        return "test"
+    return split

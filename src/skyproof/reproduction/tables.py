@@ -8,6 +8,7 @@ from typing import Any
 from skyproof.reproduction.agreement import TEXTURE
 from skyproof.reproduction.cells import (
     Block,
+    Cell,
     Figure,
     Grid,
     Heading,
@@ -16,14 +17,18 @@ from skyproof.reproduction.cells import (
     bracket,
     in_percent,
     number,
+    rate,
     sign,
     span,
+    value,
 )
 from skyproof.reproduction.curves import curves_figure
 from skyproof.reproduction.cycles import ALONE, alone_on_cycles, cycles_columns
 from skyproof.reproduction.paper_results import PAPER_RESULTS, PaperResult
 from skyproof.reproduction.reproduction import Reproduction, point_name
 from skyproof.words import detector_name
+
+Column = tuple[str, str | Cell]
 
 
 def main_part(run: Reproduction) -> Part:
@@ -61,89 +66,93 @@ def main_part(run: Reproduction) -> Part:
 
 def texture_table(rows: Sequence[Mapping[str, Any]]) -> Grid:
     """Gives the paper's first table."""
-    header = ["attack", "practicality", *_header(rows)]
-    cells = [[row["attack"], sign(row["practicality"]), *_cells(row)] for row in rows]
-    return Grid(header, cells)
+    first: list[Column] = [("attack", "attack"), ("practicality", _signs)]
+    return Grid.of(rows, [*first, *_columns(rows)])
 
 
 def shape_table(rows: Sequence[Mapping[str, Any]]) -> Grid:
     """Gives the paper's second table."""
-    first = ["attack", "PM*", "chosen", "Pr*", "P1"]
-    cells = []
-    for row in rows:
-        there = "–" if row["paper_pm_star"] is None else f"{row['paper_pm_star']:g}"
-        cells.append(
-            [
-                row["attack"],
-                f"{row['pm_star']:g}",
-                number(row["pm_star_share"], 0),
-                f"{row['pr_star']:.1f}",
-                number(row["p1_star"], 2),
-                *_cells(row),
-                there,
-                number(row["easr_at_paper_pm_star"]),
-            ]
-        )
-    return Grid([*first, *_header(rows), "paper PM*", "our EASR there"], cells)
+    return Grid.of(
+        rows,
+        [
+            ("attack", "attack"),
+            ("PM*", _magnitude("pm_star")),
+            ("chosen", value("pm_star_share", 0)),
+            ("Pr*", lambda row: f"{row['pr_star']:.1f}"),
+            ("P1", value("p1_star", 2)),
+            *_columns(rows),
+            ("paper PM*", _magnitude("paper_pm_star")),
+            ("our EASR there", value("easr_at_paper_pm_star")),
+        ],
+    )
 
 
 def _learnt_shapes(shapes: Sequence[Mapping[str, Any]]) -> list[Block]:
     """Sets combinations beside their own texture under random shapes; nothing without those."""
-    rows = [
-        [
-            row["attack"],
-            f"{row['pm_star']:g}",
-            bracket(row, "easr"),
-            number(row["drawn_shape_easr"]),
-            bracket(row, "net_drawn_shape_easr"),
-        ]
-        for row in shapes
-        if row["drawn_shape_easr"] is not None
-    ]
+    rows = [row for row in shapes if row["drawn_shape_easr"] is not None]
     if not rows:
         return []
-    header = ["attack", "PM*", "EASR", "same texture, random shapes", "due to the learnt shape"]
-    return ["What a learnt shape adds to the texture under it:", Grid(header, rows)]
+    grid = Grid.of(
+        rows,
+        [
+            ("attack", "attack"),
+            ("PM*", _magnitude("pm_star")),
+            ("EASR", rate("easr")),
+            ("same texture, random shapes", value("drawn_shape_easr")),
+            ("due to the learnt shape", rate("net_drawn_shape_easr")),
+        ],
+    )
+    return ["What a learnt shape adds to the texture under it:", grid]
 
 
-def _header(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Heads what `_cells` makes of the table's rows."""
-    ours = ["EASR", "repeats", "random", "net", "best control", "net of it", "APD"]
-    if "cycles_easr" in Table("", rows).columns:
-        return [
-            *ours,
-            "EASR on Cycles",
-            "net on Cycles",
-            "net of best control on Cycles",
-            "paper EASR",
-            "paper Blender",
-            "paper APD",
-        ]
-    return [*ours, "paper EASR", "paper APD"]
-
-
-def _cells(row: Mapping[str, Any]) -> list[str]:
-    paper = PAPER_RESULTS.get(row["attack"])
-    mark = "†" if paper and paper.commented else ""
-    cells = [
-        bracket(row, "easr"),
-        span(row["easr_repeat_min"], row["easr_repeat_max"]),
-        number(row["random_easr"]),
-        bracket(row, "net_easr"),
-        number(row["strongest_control_easr"]),
-        bracket(row, "net_strongest_control_easr"),
-        number(row["apd"]),
+def _columns(rows: Sequence[Mapping[str, Any]]) -> list[Column]:
+    """The columns that both tables have."""
+    columns: list[Column] = [
+        ("EASR", rate("easr")),
+        ("repeats", lambda row: span(row["easr_repeat_min"], row["easr_repeat_max"])),
+        ("random", value("random_easr")),
+        ("net", rate("net_easr")),
+        ("best control", value("strongest_control_easr")),
+        ("net of it", rate("net_strongest_control_easr")),
+        ("APD", value("apd")),
     ]
-    papers = [number(row["paper_easr"], 2) + mark]
-    if "cycles_easr" in row:
-        names = ("cycles_easr", "cycles_net_easr", "cycles_net_strongest_control_easr")
-        alone = ALONE if alone_on_cycles(row) else ""
-        cells += [bracket(row, name) + (alone if row[name] is not None else "") for name in names]
-        papers.append(
-            number(row["paper_easr_blender"], 2)
-            + (mark if row["paper_easr_blender"] is not None else "")
-        )
-    return [*cells, *papers, number(row["paper_apd"], 2)]
+    on_cycles = "cycles_easr" in Table("", rows).columns
+    if on_cycles:
+        columns += [
+            ("EASR on Cycles", _cycles("cycles_easr")),
+            ("net on Cycles", _cycles("cycles_net_easr")),
+            ("net of best control on Cycles", _cycles("cycles_net_strongest_control_easr")),
+        ]
+    columns.append(("paper EASR", _paper("paper_easr")))
+    if on_cycles:
+        columns.append(("paper Blender", _paper("paper_easr_blender")))
+    return [*columns, ("paper APD", value("paper_apd", 2))]
+
+
+def _signs(row: Mapping[str, Any]) -> str:
+    return sign(row["practicality"])
+
+
+def _magnitude(key: str) -> Cell:
+    return lambda row: "–" if row[key] is None else f"{row[key]:g}"
+
+
+def _cycles(key: str) -> Cell:
+    def cell(row: Mapping[str, Any]) -> str:
+        alone = ALONE if row[key] is not None and alone_on_cycles(row) else ""
+        return bracket(row, key) + alone
+
+    return cell
+
+
+def _paper(key: str) -> Cell:
+    """The paper's number, marked if it stands only in the comments of its source."""
+
+    def cell(row: Mapping[str, Any]) -> str:
+        paper = PAPER_RESULTS.get(row["attack"])
+        return number(row[key], 2) + ("†" if paper and paper.commented and row[key] else "")
+
+    return cell
 
 
 def _texture_rows(run: Reproduction) -> list[dict[str, Any]]:

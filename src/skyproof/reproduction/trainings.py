@@ -15,7 +15,6 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.detectors.card import DetectorCard, Digest
 from skyproof.documents import check_document
 from skyproof.errors import ConfigurationError
-from skyproof.layout import Layout
 from skyproof.ranges import WholeNumber
 from skyproof.reproduction.cells import (
     Block,
@@ -23,10 +22,13 @@ from skyproof.reproduction.cells import (
     Heading,
     Part,
     Table,
-    bracket,
+    detector_of,
     interval_cells,
     number,
+    rate,
+    value,
 )
+from skyproof.reproduction.layout import PaperLayout
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.results.merge import merge_counts
 from skyproof.results.pairs.counts import Cell, OutcomeCounts, Series
@@ -233,25 +235,16 @@ def _grid(
 ) -> Block:
     if not rows:
         return "No random control was scored on every training."
-    words = {"easr": "EASR", "net_easr": "net EASR"}
-    header = [
-        "attack",
-        "detector",
-        *(f"training {each}" for each in numbers),
-        words[name],
-        *(f"SE by {each}s" for each in errors),
-    ]
-    cells = [
+    return Grid.of(
+        rows,
         [
-            row["attack"],
-            "mean" if row["detector"] == MEAN else detector_name(row["detector"]),
-            *(number(row[f"{name}_training_{each}"]) for each in numbers),
-            bracket(row, name),
-            *(number(row[f"{name}_{each}_se"]) for each in errors),
-        ]
-        for row in rows
-    ]
-    return Grid(header, cells)
+            ("attack", "attack"),
+            ("detector", detector_of),
+            *((f"training {each}", value(f"{name}_training_{each}")) for each in numbers),
+            ("EASR" if name == "easr" else "net EASR", rate(name)),
+            *((f"SE by {each}s", value(f"{name}_{each}_se")) for each in errors),
+        ],
+    )
 
 
 def _recipe(training: Training) -> str:
@@ -318,7 +311,7 @@ def read_trainings(results: Results) -> list[Training]:
         StoredFileError: a file is damaged.
     """
     own = Training(0, results.counts, results.cards)
-    layout = Layout(results.folder)
+    layout = PaperLayout(results.folder)
     names = [path.name for path in layout.trainings.glob("*") if path.name.isdecimal()]
     trainings = [own]
     for which in sorted(int(name) for name in names if name == str(int(name)) and int(name)):
@@ -358,10 +351,10 @@ def _refuse_other_data(earlier: Training, training: Training) -> None:
             continue
         which = f"Trainings {earlier.number} and {training.number} of {name}"
         known = _learnt_from(before)
-        for what, value in _learnt_from(facts).items():
-            if known[what] != value:
+        for what, found in _learnt_from(facts).items():
+            if known[what] != found:
                 raise ConfigurationError(
-                    f"{which} differ in their {what} ({_short(known[what])} and {_short(value)}), "
+                    f"{which} differ in their {what} ({_short(known[what])} and {_short(found)}), "
                     f"so that they do not show what chance alone does; {_REMEDY}."
                 )
         if facts.weights_sha256 and facts.weights_sha256 == before.weights_sha256:

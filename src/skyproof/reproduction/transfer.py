@@ -1,4 +1,4 @@
-"""Transfer: camouflages optimised against some detectors, judged by all."""
+"""Transfer: camouflages optimised against some detectors, scored by all."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
-from skyproof.reproduction.cells import Grid, Heading, Part, Table, bracket, interval_cells
+from skyproof.reproduction.cells import Cell, Grid, Heading, Part, Table, interval_cells, rate
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.results.result import MAIN_MATCH, MEAN, Result
 from skyproof.results.results import RENDERER
@@ -18,7 +18,7 @@ _OF_SOME = ("on_", "without_")
 
 
 def transfer_part(run: Reproduction) -> Part:
-    """Sets the detectors attacked (rows) against those that judged (columns)."""
+    """Sets the attacked detectors (rows) against those that score (columns)."""
     attacked = {
         CamouflageName.read(name): tuple(record.attack.detectors)
         for name, record in run.records.items()
@@ -33,16 +33,12 @@ def transfer_part(run: Reproduction) -> Part:
     tables = [Table("transfer", rows)]
     if not rows:
         return Part(tables)
-    cells = [
-        [
-            row["attack"],
-            ", ".join(map(detector_name, row["attacked_on"].split())),
-            *(bracket(row, detector) for detector in run.detectors),
-        ]
-        for row in rows
+    columns: list[tuple[str, str | Cell]] = [
+        ("attack", "attack"),
+        ("learnt on", lambda row: ", ".join(map(detector_name, row["attacked_on"].split()))),
+        *((f"EASR on {detector_name(each)}", rate(each)) for each in run.detectors),
     ]
-    judged = [f"EASR on {detector_name(detector)}" for detector in run.detectors]
-    return Part(tables, [Heading("Transfer"), Grid(["attack", "learnt on", *judged], cells)])
+    return Part(tables, [Heading("Transfer"), Grid.of(rows, columns)])
 
 
 def transfer_rows(
@@ -54,8 +50,8 @@ def transfer_rows(
     """Gives EASR by detectors attacked and detector, in percent, for one kind and its variants.
 
     Args:
-        rows: of `summarise`.
-        attacked: by camouflage (with or without repeat), the detectors it was optimised against.
+        rows: rows of `summarise`.
+        attacked: attacked detectors by camouflage, with or without repeat.
         base: the kind: "T-U" takes "T-U" and its variants "T-U_on_...", "T-U_without_...".
 
     Returns:
@@ -63,7 +59,7 @@ def transfer_rows(
 
     Raises:
         ConfigurationError: unknown attacked detectors, repeats that attacked different ones, or a
-            detector that has not judged all.
+            detector that has not scored all.
     """
     of_row: dict[CamouflageName, tuple[str, ...]] = {}
     for name, detectors in attacked.items():
@@ -81,22 +77,22 @@ def transfer_rows(
         and (not row.camouflage.variant or row.camouflage.variant.startswith(_OF_SOME))
         and row.detector != MEAN
     }
-    judges = dict.fromkeys(detector for _, detector in easr)
+    scoring = dict.fromkeys(detector for _, detector in easr)
     names = list(dict.fromkeys(name for name, _ in easr))
     for name in names:
         if not of_row.get(name):
             raise ConfigurationError(
                 f"It is not known which detectors {name} attacked; give its camouflage folder."
             )
-        missing = next((judge for judge in judges if (name, judge) not in easr), None)
+        missing = next((each for each in scoring if (name, each) not in easr), None)
         if missing:
             raise ConfigurationError(
-                f"{missing} has not judged {name}; score every camouflage by the same detectors."
+                f"{missing} has not scored {name}; score every camouflage by the same detectors."
             )
     found = []
     for name in sorted(names, key=lambda name: (len(of_row[name]), of_row[name])):
         row: dict[str, Any] = {"attack": str(base), "attacked_on": " ".join(of_row[name])}
-        for judge in judges:
-            row |= interval_cells(judge, easr[name, judge], 100.0)
+        for each in scoring:
+            row |= interval_cells(each, easr[name, each], 100.0)
         found.append(row)
     return found

@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from skyproof.reproduction.cells import Block, Grid, Heading, Part, Table, number, word
+from skyproof.reproduction.cells import Block, Grid, Heading, Part, Table, value, word
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.results.stored import Discretisation
 from skyproof.words import probability
@@ -17,12 +17,7 @@ _RUNG = re.compile(r"(?P<base>.+)_step(?P<step>\d+)-(?P<repeat>\d+)")
 
 
 def trust_part(run: Reproduction, rows: Sequence[Mapping[str, Any]]) -> Part:
-    """Says what is left of chance, and whether attacks work as optimisation should.
-
-    Args:
-        run: the reproduction.
-        rows: of both tables of the paper.
-    """
+    """Says what is left of chance in the rows of the paper's tables, and how attacks converge."""
     signs = _sign_rows(run)
     ladder = _ladder_rows(run)
     convergence = _convergence_rows(run)
@@ -40,10 +35,7 @@ def trust_part(run: Reproduction, rows: Sequence[Mapping[str, Any]]) -> Part:
 
 
 def _tests(run: Reproduction, rows: Sequence[Mapping[str, Any]]) -> str:
-    """Says what is left of chance, by interval and by test, each camouflage counted once.
-
-    A combination whose PM* is 0 is its texture, which has a row of its own.
-    """
+    """Counts each camouflage once; a combination whose PM* is 0 is its texture."""
     learnt: dict[str, Mapping[str, Any]] = {}
     for row in rows:
         if not row["attack"].startswith("R-"):
@@ -108,24 +100,21 @@ def _signs(rows: Sequence[Mapping[str, Any]]) -> list[Block]:
         f"in more scenes than chance explains (exact, p < {_SURE})."
     )
     if others:
-        header = ["did not fall", "detector", "scenes", "fell", "p", "mean change"]
-        cells = [
+        grid = Grid.of(
+            others,
             [
-                row["attack"],
-                row["detector"],
-                str(row["scenes"]),
-                str(row["fell"]),
-                probability(row["p"]),
-                f"{row['mean_change']:+.4f}".replace("-", "−"),
-            ]
-            for row in others
-        ]
-        return [text, Grid(header, cells)]
+                ("did not fall", "attack"),
+                *((column, column) for column in ("detector", "scenes", "fell")),
+                ("p", lambda row: probability(row["p"])),
+                ("mean change", lambda row: f"{row['mean_change']:+.4f}".replace("-", "−")),
+            ],
+        )
+        return [text, grid]
     return [text]
 
 
 def _ladder_rows(run: Reproduction) -> list[dict[str, Any]]:
-    """Gives EASR of one repeat after some of its steps and after all; does it get weaker?"""
+    """EASR of one repeat after some of its steps and after all."""
     rungs: dict[str, dict[int, str]] = {}
     for key in run.results.counts.series:
         if found := _RUNG.fullmatch(key.camouflage):
@@ -176,18 +165,20 @@ def _ladder(rows: Sequence[Mapping[str, Any]]) -> list[Block]:
         f"{strict} of {len(rows)} attacks; in {holds} no fall is certain (its 95 % interval "
         "reaches zero)."
     )
-    cells = [
-        [row["attack"], *(number(row.get(column)) for column in columns), word(row["never_falls"]),
-         word(row["never_surely_falls"])]
-        for row in rows
-    ]  # fmt: skip
-    steps = [column[6:].replace("all", "all steps") for column in columns]
-    grid = Grid(["attack", *steps, "never falls", "no certain fall"], cells)
+    grid = Grid.of(
+        rows,
+        [
+            ("attack", "attack"),
+            *((column[6:].replace("all", "all steps"), value(column)) for column in columns),
+            ("never falls", lambda row: word(row["never_falls"])),
+            ("no certain fall", lambda row: word(row["never_surely_falls"])),
+        ],
+    )
     return [Heading("Strength ladder", 3), text, grid]
 
 
 def _convergence_rows(run: Reproduction) -> list[dict[str, Any]]:
-    """Gives per attack and seed what it hid half-way and at the end, on scenes of its own world."""
+    """What each attack hid half-way and at the end, on scenes of its own world."""
     rows: list[dict[str, Any]] = []
     for name, record in run.records.items():
         found = record.convergence
@@ -209,7 +200,6 @@ def _convergence_rows(run: Reproduction) -> list[dict[str, Any]]:
 
 
 def _convergence(rows: Sequence[Mapping[str, Any]]) -> list[Block]:
-    """Says how many have converged, and shows the others."""
     if not rows:
         return []
     others = [row for row in rows if not row["converged"]]
@@ -221,21 +211,21 @@ def _convergence(rows: Sequence[Mapping[str, Any]]) -> list[Block]:
     heading = Heading("Convergence", 3)
     if not others:
         return [heading, text]
-    cells = [
+    grid = Grid.of(
+        sorted(others, key=lambda row: -row["added"]),
         [
-            row["attack"],
-            str(row["half_steps"]),
-            number(row["hidden_half_way"]),
-            str(row["steps"]),
-            number(row["hidden"]),
-        ]
-        for row in sorted(others, key=lambda row: -row["added"])
-    ]
-    return [heading, text, Grid(["not converged", "steps", "EASR", "steps", "EASR"], cells)]
+            ("not converged", "attack"),
+            ("steps", "half_steps"),
+            ("EASR", value("hidden_half_way")),
+            ("steps", "steps"),
+            ("EASR", value("hidden")),
+        ],
+    )
+    return [heading, text, grid]
 
 
 def _gap_rows(run: Reproduction) -> list[dict[str, Any]]:
-    """Gives EASR and losses of attacks on few colours, before the last rounding and after it."""
+    """EASR and losses of attacks on few colours, before the last rounding and after it."""
     rows = []
     for key in dict.fromkeys(key.camouflage for key in run.results.counts.series):
         if "_relaxed-" not in key:
@@ -257,8 +247,7 @@ def _gap_rows(run: Reproduction) -> list[dict[str, Any]]:
 
 
 def _gap(rows: Sequence[Mapping[str, Any]]) -> list[Block]:
-    cells = [[row["attack"], number(row["easr_before"]), number(row["easr_after"])] for row in rows]
     if not rows:
         return []
-    grid = Grid(["attack", "EASR before", "EASR after"], cells)
-    return [Heading("Rounding to few colours", 3), grid]
+    columns = [("EASR before", value("easr_before")), ("EASR after", value("easr_after"))]
+    return [Heading("Rounding to few colours", 3), Grid.of(rows, [("attack", "attack"), *columns])]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 from statistics import fmean
 from typing import Any
 
@@ -13,20 +14,21 @@ from jaxtyping import Float, Int
 from matplotlib import pyplot as plt
 
 from skyproof.camouflage.name import CamouflageName
-from skyproof.layout import Layout
 from skyproof.pictures import read_pixels
 from skyproof.report.figures import STYLE, as_files
 from skyproof.reproduction.agreement import percentile_interval
 from skyproof.reproduction.cells import (
     Block,
+    Cell,
     Figure,
     Grid,
     Heading,
     Part,
     Table,
-    bracket,
     interval_cells,
     number,
+    rate,
+    value,
 )
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.reproduction.stored_looks import PairLooks
@@ -78,27 +80,14 @@ def variability_part(run: Reproduction) -> Part:
 def _blocks(
     rows: Sequence[Mapping[str, Any]], starts: Sequence[Mapping[str, Any]], most: CamouflageName
 ) -> list[Block]:
-    cells = [
-        [
-            row["attack"],
-            str(row["starts"]),
-            *(
-                cell
-                for key, digits in (("correlation", 2), ("distance", 0))
-                for level in ("", "seen_")
-                for cell in (
-                    _mean(row, f"{level}{key}", digits),
-                    number(row[f"random_{level}{key}"], digits),
-                )
-            ),
-            bracket(row, "agreement", digits=2),
-        ]
-        for row in rows
-    ]
-    header = ["texture", "starts"]
-    for what in ("correlation", "ΔE"):
-        for level in ("of texels", "of 4 × 4"):
-            header += [f"{what} {level}", "random"]
+    columns: list[tuple[str, str | Cell]] = [("texture", "attack"), ("starts", "starts")]
+    for what, key, digits in (("correlation", "correlation", 2), ("ΔE", "distance", 0)):
+        for level, prefix in (("of texels", ""), ("of 4 × 4", "seen_")):
+            columns += [
+                (f"{what} {level}", partial(_mean, key=f"{prefix}{key}", digits=digits)),
+                ("random", value(f"random_{prefix}{key}", digits)),
+            ]
+    columns.append(("hidden alike", rate("agreement", 2)))
     return [
         Heading("From several starts"),
         "How alike the textures are that one attack ends with from different seeds, over all "
@@ -110,9 +99,9 @@ def _blocks(
         "among draws of the random control. “hidden alike” correlates, over the vehicles that a "
         "detector found before, which of them two starts hide (mean over pairs and detectors; 95 % "
         "interval over background tiles); it is undefined where a start hides all.",
-        Grid([*header, "hidden alike"], cells),
+        Grid.of(rows, columns),
         f"The starts of {most} one by one, with intervals over tiles and vehicles:",
-        Grid(["start", "EASR, %"], [[row["attack"], bracket(row, "easr")] for row in starts]),
+        Grid.of(starts, [("start", "attack"), ("EASR, %", rate("easr"))]),
     ]
 
 
@@ -209,7 +198,7 @@ def _figure(run: Reproduction, name: CamouflageName) -> dict[str, bytes]:
     """Draws the starts of one texture; nothing where the run keeps no maps."""
     looks = run.looks
     assert looks is not None
-    layout = Layout(run.results.folder)
+    layout = run.layout
     starts = [
         row.name
         for row in looks.textures

@@ -13,7 +13,6 @@ import numpy as np
 from matplotlib import pyplot as plt
 
 from skyproof.camouflage.name import IN_WEATHER, CamouflageName
-from skyproof.layout import Layout
 from skyproof.report.figures import BLUE, GREY, ORANGE, STYLE, as_files
 from skyproof.reproduction.cells import (
     Block,
@@ -48,7 +47,7 @@ def weather_part(run: Reproduction) -> Part:
         StoredFileError: a file of the scores in weather is damaged.
         ConfigurationError: they do not belong together.
     """
-    place = Layout(run.results.folder).weather
+    place = run.layout.weather
     if not place.scores.exists():
         return Part()
     scored = Results.open(place.folder)

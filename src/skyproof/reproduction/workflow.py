@@ -2,34 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from skyproof.assessment.run import START_S, Step
+from skyproof.assessment.run import Step
 from skyproof.cycles.settings import Rendering
 from skyproof.documents import read_document
 from skyproof.layout import Layout
-from skyproof.reproduction.further_trainings import training_steps
-from skyproof.reproduction.held_out_detectors import stored_judges
+from skyproof.reproduction.held_out_detectors import stored_tables
 from skyproof.reproduction.jobs import Jobs
-from skyproof.reproduction.own_steps import store_features, write_looks, write_report
-from skyproof.reproduction.plan import Plan, function_step
+from skyproof.reproduction.layout import PaperLayout
+from skyproof.reproduction.plan import Plan
 from skyproof.reproduction.preset import Preset
-from skyproof.reproduction.steps import (
-    attack_step,
-    check_step,
-    control_step,
-    score_step,
-    train_step,
-)
-from skyproof.reproduction.world import RENDERED, render_s, render_step, scene_step, world_steps
-
-_LOOK_S = 0.1
-_MOST_SCENES = 200
+from skyproof.reproduction.steps import Steps
+from skyproof.reproduction.world import RENDERED, Rendered
+from skyproof.seeds import next_seed
 
 
 def plan_of_run(device: str = "auto", blender: Path | str | None = None) -> Plan:
@@ -42,7 +32,7 @@ def plan_of_run(device: str = "auto", blender: Path | str | None = None) -> Plan
         ConfigurationError: a setting is missing, unknown, or cannot be.
         StoredFileError: there is no `config.json`, or it is damaged.
     """
-    layout = Layout(Path())
+    layout = PaperLayout(Path())
     values: dict[str, Any] = read_document(
         layout.config, dict[str, Any], "copy the preset there, or give another folder"
     )
@@ -51,7 +41,7 @@ def plan_of_run(device: str = "auto", blender: Path | str | None = None) -> Plan
         layout.folder,
         device=device,
         blender=Path(blender) if blender else None,
-        judges=stored_judges(layout),
+        held_out=stored_tables(layout),
     )
 
 
@@ -61,129 +51,50 @@ def reproduction_plan(
     *,
     device: str = "auto",
     blender: Path | None = None,
-    judges: Mapping[str, Sequence[str]] = MappingProxyType({}),
+    held_out: Mapping[str, Sequence[str]] = MappingProxyType({}),
 ) -> Plan:
     """Returns a preset, expanded to steps.
 
     Args:
-        preset: what is reproduced.
+        preset: settings of the reproduction.
         folder: the run folder, as the steps are to name it.
         device: auto, cpu or cuda.
         blender: Blender that draws the Cycles column; None for a plan without it.
-        judges: by table, the detectors that only judge.
+        held_out: held-out detectors by table.
     """
-    layout = Layout(folder)
-    sizes = preset.world
+    layout = PaperLayout(folder)
     jobs = Jobs(preset)
+    make = Steps(preset, layout, device)
+    cycles = None
+    if blender is not None:
+        cycles = Rendering(renderer="cycles", blender=blender, workers=preset.threads)
+
     trained = [name for name in preset.detectors if name not in preset.reference]
-    steps = world_steps(
-        layout,
-        sizes,
-        preset.seed,
-        splits=(*(RENDERED if trained else ("test",)), "empty"),
-        blur_sigma_px=preset.blur_sigma_px,
-        device=device,
-    )
-    steps += [
-        train_step(
-            layout,
-            sizes,
-            name,
-            preset.size,
-            preset.training.get(name, {}),
-            preset.seed,
-            device=device,
-        )
-        for name in trained
-    ]
+    splits: tuple[Rendered, ...] = (*(RENDERED if trained else ("test",)), "empty")
+    steps = [make.ground(), make.fleets(), *map(make.scenes, splits), *map(make.render, splits)]
+    steps += [make.train(name, preset.seed) for name in trained]
     checked = trained if preset.check_scenes else []
     if checked:
-        steps.append(
-            check_step(
-                layout,
-                sizes,
-                checked,
-                preset.check_scenes,
-                preset.draws,
-                preset.seed,
-                device=device,
-            )
-        )
-    steps.append(control_step(layout, jobs.controls, preset.seed))
-    steps += [
-        attack_step(layout, job, preset.attack_image_px, places=sizes.test_places, device=device)
-        for job in (*jobs.attacks.values(), *jobs.chosen.values())
-    ]
-    steps += [
-        control_step(layout, names, preset.seed, texture=texture)
-        for texture, names in jobs.shapes.items()
-    ]
-    scores: list[Step] = []
-
-    def score(
-        name: str,
-        folders: Sequence[str],
-        rendering: Rendering | None = None,
-        table: str | None = None,
-    ) -> None:
-        scores.append(
-            score_step(
-                layout,
-                sizes,
-                name,
-                folders,
-                judges[table] if table else preset.detectors,
-                preset.seed,
-                empty=not scores,
-                rendering=rendering,
-                judged=layout.judged(table) if table else None,
-                device=device,
-            )
-        )
-
-    for name, folders in jobs.batches.items():
-        score(name, folders)
-    rendering = None
-    if blender is not None:
-        rendering = Rendering(renderer="cycles", blender=blender, workers=preset.threads)
-        steps.append(render_step(layout, sizes, "test", rendering=rendering, device=device))
-        for name, folders in jobs.cycles_batches.items():
-            score(f"cycles-{name}", folders, rendering)
-    for table in judges:
-        for name, folders in jobs.judged_batches.items():
-            score(name, folders, table=table)
-        if rendering is not None:
-            for name, folders in jobs.cycles_batches.items():
-                score(f"cycles-{name}", folders, rendering, table)
+        steps.append(make.precheck(checked))
+    steps.append(make.controls(jobs.controls))
+    steps += map(make.attack, (*jobs.attacks.values(), *jobs.chosen.values()))
+    steps += [make.controls(names, texture) for texture, names in jobs.shapes.items()]
+    if cycles:
+        steps.append(make.render("test", cycles))
     if jobs.weather_batches:
-        weather = replace(sizes, test_images=preset.weather_images)
-        steps.append(scene_step(layout, weather, "weather", preset.seed))
-        steps.append(render_step(layout, weather, "weather", device=device))
-        scores += [
-            score_step(
-                layout,
-                weather,
-                name,
-                folders,
-                preset.detectors,
-                preset.seed,
-                weather=True,
-                device=device,
-            )
-            for name, folders in jobs.weather_batches.items()
-        ]
+        steps += [make.scenes("weather"), make.render("weather")]
+
+    scores = [*_score_steps(make, jobs, layout, cycles, held_out)]
     if jobs.looked_at:
-        scores.append(_looks_step(layout, jobs.looked_at))
+        scores.append(make.looks(jobs.looked_at))
     if jobs.featured:
-        scores.append(_features_step(layout, preset, jobs.featured, device))
+        scores.append(make.features(jobs.featured))
     steps += scores
     for number in range(1, preset.trainings):
-        further = training_steps(
-            layout, preset, number, jobs.repeated, jobs.repeated_batches, device=device
-        )
+        further = [*_training_steps(preset, jobs, layout, number, device)]
         steps += further
         scores += [step for step in further if step.kind == "score"]
-    steps.append(_report_step(layout, scores, checked))
+    steps.append(make.report(scores, checked))
     # No step leaves what comes with skyproof: it is copied before the first one.
     given = {layout.detector(name) / "detector.json" for name in preset.reference}
     steps = [
@@ -193,67 +104,66 @@ def reproduction_plan(
     return Plan(steps, threads=preset.threads, resources=preset.resources.asked())
 
 
-def _report_step(layout: Layout, scores: Sequence[Step], checked: Sequence[str]) -> Step:
-    """Returns the step that merges all scores and writes the report."""
-    checks = [layout.precheck(name) for name in checked]
-    return function_step(
-        "report",
-        "report",
-        write_report,
-        {"out": layout.folder},
-        (*checks, *(folder for step in scores for folder in step.outputs)),
-        (layout.results, layout.report),
-        renewed=True,
-        effort_s=2 * START_S,
-    )
+def _score_steps(
+    make: Steps,
+    jobs: Jobs,
+    layout: PaperLayout,
+    cycles: Rendering | None,
+    held_out: Mapping[str, Sequence[str]],
+) -> Iterator[Step]:
+    """The scores of the attacked detectors, of the held-out ones, and those in weather."""
+    for number, (name, folders) in enumerate(jobs.batches.items()):
+        yield make.score(name, folders, detectors=make.detectors, out=layout, empty=not number)
+    tables: dict[str, tuple[Layout, Sequence[Path], Mapping[str, tuple[str, ...]]]]
+    tables = {"": (layout, make.detectors, {})}
+    for table, names in held_out.items():
+        own = layout.table(table)
+        # No table's name has a dot, so that no two steps have one name.
+        tables[f"judges.{table}."] = (own, tuple(map(own.detector, names)), jobs.judged_batches)
+    for prefix, (out, detectors, batches) in tables.items():
+        for name, folders in batches.items():
+            yield make.score(name, folders, detectors=detectors, out=out, prefix=prefix)
+        if cycles is None:
+            continue
+        for name, folders in jobs.cycles_batches.items():
+            yield make.score(
+                f"cycles-{name}",
+                folders,
+                detectors=detectors,
+                out=out,
+                prefix=prefix,
+                rendering=cycles,
+            )
+    for name, folders in jobs.weather_batches.items():
+        yield make.score(
+            name,
+            folders,
+            detectors=make.detectors,
+            out=layout.weather,
+            prefix="weather-",
+            split="weather",
+        )
 
 
-def _looks_step(layout: Layout, camouflages: Sequence[str]) -> Step:
-    """Returns the step that measures what camouflages look like."""
-    arguments = {
-        "out": layout.folder / "looks",
-        "original": layout.dataset("test"),
-        "camouflages": tuple(layout.camouflage(name) for name in camouflages),
-        "backgrounds": layout.backgrounds,
-        "fleet": layout.fleets / "test",
-    }
-    inputs = [layout.dataset("test"), layout.backgrounds, layout.fleets]
-    inputs += [layout.camouflage(name) / "camouflage.json" for name in camouflages]
-    return function_step(
-        "looks",
-        "looks",
-        write_looks,
-        arguments,
-        tuple(inputs),
-        (layout.folder / "looks",),
-        effort_s=2 * START_S + _LOOK_S * len(camouflages),
-    )
+def _training_steps(
+    preset: Preset, jobs: Jobs, layout: PaperLayout, number: int, device: str
+) -> Iterator[Step]:
+    """The steps of one more training, from detectors to scores.
 
-
-def _features_step(layout: Layout, preset: Preset, camouflages: Sequence[str], device: str) -> Step:
-    """Returns the step that stores the attacked detectors' features."""
-    out = layout.folder / "features.parquet"
-    arguments = {
-        "detectors": tuple(layout.detector(name) for name in preset.detectors),
-        "out": out,
-        "original": layout.dataset("test"),
-        "camouflages": tuple(layout.camouflage(name) for name in camouflages),
-        "backgrounds": layout.backgrounds,
-        "fleet": layout.fleets / "test",
-        "seed": preset.seed,
-    }
-    inputs = [layout.dataset("test"), layout.backgrounds, layout.fleets]
-    inputs += [layout.detector(name) / "detector.json" for name in preset.detectors]
-    inputs += [layout.camouflage(name) / "camouflage.json" for name in camouflages]
-    images = min(preset.world.test_images, _MOST_SCENES) * len(camouflages)
-    effort_s = START_S + render_s(Rendering()) * preset.world.megapixels(images)
-    return function_step(
-        "features",
-        "features",
-        # Settings decide results; a device does not.
-        partial(store_features, device=device),
-        arguments,
-        tuple(inputs),
-        (out,),
-        effort_s=effort_s,
-    )
+    Detectors learn from the same images by the same recipe, and attacks go as they went on the
+    run's own detectors, but all from other seeds. Random controls are drawn once for all trainings.
+    """
+    make = Steps(preset, layout, device, number)
+    steps = [make.train(name, next_seed(preset.seed, number)) for name in preset.detectors]
+    repeats = max([preset.repeats, *preset.texture_repeats.values()])
+    for job in jobs.repeated:
+        # Every repeat on every training has a seed of its own.
+        seed = next_seed(job.settings.seed, number * repeats)
+        settings = replace(job.settings, seed=seed, keep_at=())
+        steps.append(make.attack(replace(job, settings=settings, kept=())))
+    steps += [
+        make.score(name, folders, detectors=make.detectors, out=layout.training(number))
+        for name, folders in jobs.repeated_batches.items()
+    ]
+    for step in steps:
+        yield replace(step, name=f"training-{number}-{step.name}")

@@ -1,4 +1,4 @@
-"""Detectors that only judge a reproduction: which may, where they lie, and what is added."""
+"""Held-out detectors of a reproduction: which may be, where they lie, and what they add."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from skyproof.assessment.run import Step
 from skyproof.detectors.blueprint import Blueprint
 from skyproof.detectors.card import DetectorCard, write_card
 from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
-from skyproof.layout import Layout
 from skyproof.reproduction.held_out_detectors import (
-    Judge,
-    new_judges,
-    read_judges,
-    store_judges,
-    stored_judges,
+    HeldOutDetector,
+    new_tables,
+    read_held_out,
+    store_tables,
+    stored_tables,
 )
+from skyproof.reproduction.layout import PaperLayout
 from skyproof.reproduction.preset import Preset
 from skyproof.reproduction.workflow import plan_of_run, reproduction_plan
 from tests.reproduction.test_plan import BLENDER, TINY, TINY_FILE, dry_run, leave
@@ -53,15 +53,17 @@ def faster(card: DetectorCard = CARD) -> DetectorCard:
     return replace(card, name="faster_rcnn")
 
 
-def names(tables: dict[str, list[Judge]]) -> dict[str, list[str]]:
-    return {table: [judge.name for judge in its] for table, its in tables.items()}
+def names(tables: dict[str, list[HeldOutDetector]]) -> dict[str, list[str]]:
+    return {table: [detector.name for detector in its] for table, its in tables.items()}
 
 
 def test_tables_hold_what_learnt_from_the_same_images(tmp_path: Path) -> None:
     first = detector(tmp_path / "first")
     second = detector(tmp_path / "a=b" / "second", faster(), digest="2")
-    assert names(read_judges([str(first), str(second)])) == {"judges": ["retinanet", "faster_rcnn"]}
-    apart = read_judges([f"one={first}", f"other={second}"])
+    assert names(read_held_out([str(first), str(second)])) == {
+        "judges": ["retinanet", "faster_rcnn"]
+    }
+    apart = read_held_out([f"one={first}", f"other={second}"])
     assert names(apart) == {"one": ["retinanet"], "other": ["faster_rcnn"]}
 
 
@@ -69,12 +71,12 @@ def test_trainings_of_different_images_in_one_table_are_refused(tmp_path: Path) 
     first = detector(tmp_path / "first")
     card = faster(replace(CARD, training=OTHERS, trained_on="train: other photographs"))
     second = detector(tmp_path / "second", card, digest="2")
-    with pytest.raises(ConfigurationError, match="learnt from different images") as refusal:
-        read_judges([f"real={first}", f"real={second}"])
+    with pytest.raises(ConfigurationError, match="have different training images") as refusal:
+        read_held_out([f"real={first}", f"real={second}"])
     said = str(refusal.value)
     assert all(word in said for word in (str(first), str(second), "OTHER=", "train: photographs"))
     # Side by side they may stand, and no mean goes over both.
-    assert len(read_judges([f"real={first}", f"more={second}"])) == 2
+    assert len(read_held_out([f"real={first}", f"more={second}"])) == 2
 
 
 def test_cards_without_a_digest_of_the_images_are_told_apart_by_words(tmp_path: Path) -> None:
@@ -82,9 +84,9 @@ def test_cards_without_a_digest_of_the_images_are_told_apart_by_words(tmp_path: 
     first = detector(tmp_path / "first", replace(CARD, training=old))
     same = detector(tmp_path / "same", faster(), digest="2")
     more = detector(tmp_path / "more", faster(replace(CARD, training={"images": 61})))
-    assert len(read_judges([str(first), str(same)])["judges"]) == 2
-    with pytest.raises(ConfigurationError, match="different images"):
-        read_judges([str(first), str(more)])
+    assert len(read_held_out([str(first), str(same)])["judges"]) == 2
+    with pytest.raises(ConfigurationError, match="different training images"):
+        read_held_out([str(first), str(more)])
 
 
 def test_imported_detectors_stand_together_and_not_with_ours(tmp_path: Path) -> None:
@@ -95,70 +97,70 @@ def test_imported_detectors_stand_together_and_not_with_ours(tmp_path: Path) -> 
         for name in ("theirs", "another")
     ]
     folders = [str(detector(tmp_path / card.name, card)) for card in cards]
-    assert len(read_judges(folders)["judges"]) == 2
-    with pytest.raises(ConfigurationError, match="different images"):
-        read_judges([*folders, str(detector(tmp_path / "ours"))])
+    assert len(read_held_out(folders)["judges"]) == 2
+    with pytest.raises(ConfigurationError, match="different training images"):
+        read_held_out([*folders, str(detector(tmp_path / "ours"))])
 
 
 @pytest.mark.parametrize("table", ["a b=", "=", "{x}=", "-=", "x" * 41 + "=", "..="])
 def test_tables_have_plain_names(tmp_path: Path, table: str) -> None:
     with pytest.raises(ConfigurationError, match="TABLE="):
-        read_judges([f"{table}{detector(tmp_path / 'first')}"])
+        read_held_out([f"{table}{detector(tmp_path / 'first')}"])
 
 
-def test_what_cannot_judge_is_refused(tmp_path: Path) -> None:
+def test_other_detectors_are_refused(tmp_path: Path) -> None:
     first = detector(tmp_path / "first")
     with pytest.raises(ConfigurationError, match="second retinanet of the table judges"):
-        read_judges([str(first), str(detector(tmp_path / "second", digest="2"))])
+        read_held_out([str(first), str(detector(tmp_path / "second", digest="2"))])
     coarse = detector(tmp_path / "coarse", replace(CARD, gsd_m=0.3))
     with pytest.raises(ConfigurationError, match=r"0\.3 m per pixel"):
-        read_judges([str(coarse)])
+        read_held_out([str(coarse)])
     with pytest.raises(StoredFileError, match=r"detector\.json"):
-        read_judges([str(tmp_path)])
+        read_held_out([str(tmp_path)])
 
 
-def test_judges_are_kept_in_the_run_folder_and_stay_as_they_are(tmp_path: Path) -> None:
-    layout = Layout(tmp_path / "run")
+def test_they_are_kept_in_the_run_folder_and_stay_as_they_are(tmp_path: Path) -> None:
+    layout = PaperLayout(tmp_path / "run")
     first = detector(tmp_path / "first")
-    asked = read_judges([f"real={first}"])
-    store_judges(layout, new_judges(layout, PRESET, asked))
-    assert stored_judges(layout) == {"real": ("retinanet",)}
-    copied = layout.judged("real").detector("retinanet")
+    given = read_held_out([f"real={first}"])
+    store_tables(layout, new_tables(layout, PRESET, given))
+    assert stored_tables(layout) == {"real": ("retinanet",)}
+    copied = layout.table("real").detector("retinanet")
     # Neither the log of the training nor anything of another's folder is needed.
     assert {path.name for path in copied.iterdir()} == {"weights.safetensors", "detector.json"}
     # The same again is nothing new, whichever folder it comes from.
-    assert new_judges(layout, PRESET, asked) == {}
+    assert new_tables(layout, PRESET, given) == {}
     moved = detector(tmp_path / "moved")
-    assert new_judges(layout, PRESET, read_judges([f"real={moved}"])) == {}
+    assert new_tables(layout, PRESET, read_held_out([f"real={moved}"])) == {}
     # Others under that name are refused, and may come beside.
     other = detector(tmp_path / "other", digest="2")
-    with pytest.raises(RunFolderError, match="table real of other judges"):
-        new_judges(layout, PRESET, read_judges([f"real={other}"]))
+    with pytest.raises(RunFolderError, match="table real of other detectors"):
+        new_tables(layout, PRESET, read_held_out([f"real={other}"]))
     frozen = detector(tmp_path / "frozen", replace(CARD, threshold=0.5))
-    with pytest.raises(RunFolderError, match="table real of other judges"):
-        new_judges(layout, PRESET, read_judges([f"real={frozen}"]))
-    assert list(new_judges(layout, PRESET, read_judges([f"more={other}"]))) == ["more"]
+    with pytest.raises(RunFolderError, match="table real of other detectors"):
+        new_tables(layout, PRESET, read_held_out([f"real={frozen}"]))
+    assert list(new_tables(layout, PRESET, read_held_out([f"more={other}"]))) == ["more"]
     # What a kill left is no table.
-    (layout.judges / ".half.partial").mkdir()
-    assert stored_judges(layout) == {"real": ("retinanet",)}
+    (layout.held_out / ".half.partial").mkdir()
+    assert stored_tables(layout) == {"real": ("retinanet",)}
 
 
-def test_a_detector_that_is_attacked_is_no_judge(tmp_path: Path) -> None:
-    layout = Layout(tmp_path / "run")
+def test_a_detector_that_is_attacked_is_not_held_out(tmp_path: Path) -> None:
+    layout = PaperLayout(tmp_path / "run")
     attacked = detector(layout.detector("retinanet"))
     with pytest.raises(ConfigurationError, match="RetinaNet that this run attacks"):
-        new_judges(layout, PRESET, read_judges([str(attacked)]))
+        new_tables(layout, PRESET, read_held_out([str(attacked)]))
 
 
 def steps_of(cycles: bool) -> dict[str, Step]:
-    judges = {"more": ("yolov5",), "real": ("faster_rcnn", "retinanet")}
+    held_out = {"more": ("yolov5",), "real": ("faster_rcnn", "retinanet")}
     plan = reproduction_plan(
-        PRESET, Path("run"), blender=BLENDER if cycles else None, judges=judges
+        PRESET, Path("run"), blender=BLENDER if cycles else None, held_out=held_out
     )
     return {step.id: step for step in plan.steps}
 
 
-def test_judges_score_what_the_run_renders() -> None:
+def test_they_score_what_the_run_renders() -> None:
     steps = steps_of(cycles=True)
     added = [name for name in steps if "judges" in name]
     tables = ("more", "real")
@@ -178,20 +180,20 @@ def test_judges_score_what_the_run_renders() -> None:
     assert not [name for name in steps_of(cycles=False) if "judges" in name and "cycles" in name]
     # Whatever tables are called, no two steps are.
     reproduction_plan(
-        PRESET, Path(), blender=BLENDER, judges=dict.fromkeys(("a", "a-cycles"), ("yolov5",))
+        PRESET, Path(), blender=BLENDER, held_out=dict.fromkeys(("a", "a-cycles"), ("yolov5",))
     )
 
 
-def test_a_finished_run_is_given_only_what_its_judges_add(
+def test_a_finished_run_is_given_only_what_held_out_detectors_add(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run = tmp_path / "run"
-    layout = Layout(run)
-    asked = read_judges([str(detector(tmp_path / "first"))])
-    store_judges(layout, new_judges(layout, PRESET, asked))
+    layout = PaperLayout(run)
+    given = read_held_out([str(detector(tmp_path / "first"))])
+    store_tables(layout, new_tables(layout, PRESET, given))
     for age, finished in enumerate(reproduction_plan(PRESET, Path()).steps):
         leave(run, [finished], 1000 + age)
-    card = layout.judged("judges").detector("retinanet") / "detector.json"
+    card = layout.table("judges").detector("retinanet") / "detector.json"
     os.utime(card, (1500, 1500))
     counted, said = dry_run(run, TINY_FILE)
     assert counted == {"score": 2, "report": 1, "all": 1, "total": 4}, said
@@ -204,9 +206,9 @@ def test_a_finished_run_is_given_only_what_its_judges_add(
     assert score.out == Path("judges/judges/scores/000")  # type: ignore[attr-defined]
     monkeypatch.chdir(tmp_path / "empty")
     # Once these are there, too, nothing is left.
-    with_judges = reproduction_plan(PRESET, Path(), judges=stored_judges(layout))
-    leave(run, [step for step in with_judges.steps if "judges" in step.name], 2000)
-    leave(run, with_judges.steps[-1:], 3000)
+    with_tables = reproduction_plan(PRESET, Path(), held_out=stored_tables(layout))
+    leave(run, [step for step in with_tables.steps if "judges" in step.name], 2000)
+    leave(run, with_tables.steps[-1:], 3000)
     counted, said = dry_run(run, TINY_FILE)
     assert counted == {}, said
     assert json.loads(TINY_FILE.read_text()) == TINY
