@@ -1,7 +1,5 @@
 """Trains the network of `adversarial.py` against a discriminator, on maps of fitted vehicles."""
 
-from __future__ import annotations
-
 import copy
 import hashlib
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """`skyproof learn-vehicles`: a generator of vehicles learnt from photographs, and its fleets."""
 
-from __future__ import annotations
-
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Fits of vehicles: stored row by row, good ones told from bad, put together for a generator."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Fleets whose vehicles a generator draws."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable

@@ -1,7 +1,5 @@
 """A generator of vehicles in its folder: `generator.json` and `generator.safetensors`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any

@@ -1,7 +1,5 @@
 """From photographs to a generator of vehicles: find them, fit them, learn from the good fits."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import statistics

@@ -1,7 +1,5 @@
 """Vehicles as maps over the template's left half, as a network makes them, and back again."""
 
-from __future__ import annotations
-
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float, UInt8

@@ -1,7 +1,5 @@
 """Photographed vehicles that can be fitted: how each stood, and which pixels show it."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 Imports no torch, so that the command line answers at once.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 

@@ -1,7 +1,5 @@
 """Pictures of fits and of samples: for looking, not for measuring. Fits show the imagery."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path

@@ -3,8 +3,6 @@
 Rank correlations over the attacks of table 2 answer that, and the ranks themselves.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 import re

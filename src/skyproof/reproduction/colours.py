@@ -1,7 +1,5 @@
 """Which colours textures end with, and where these lie in the RGB cube (section S7)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from functools import partial

@@ -1,7 +1,5 @@
 """By another rule of what is found, and what the detectors report where nothing is."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Success against practicality: how much shape an attack needs, and where the two balance."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

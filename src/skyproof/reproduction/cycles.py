@@ -1,7 +1,5 @@
 """Attacks under Blender's path tracer: what becomes of their success and of random controls'."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 

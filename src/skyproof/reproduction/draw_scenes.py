@@ -1,7 +1,5 @@
 """The step that draws scenes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from skyproof.console import say

@@ -1,7 +1,5 @@
 """Classes of boxes among a detector's features: how far apart they are, and pictures of them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ RetinaNet alone; random and plainly painted vehicles beside the learnt camouflag
 are measured on all features, since a picture of two dimensions can show whatever one likes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

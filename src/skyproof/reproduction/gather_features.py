@@ -1,7 +1,5 @@
 """Detectors' features at the vehicles of rendered images, and at ground beside them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

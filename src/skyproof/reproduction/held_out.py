@@ -4,8 +4,6 @@ The counterpart of the paper's figures S2 and S3, above all for detectors that l
 photographs.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any

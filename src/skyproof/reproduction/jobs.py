@@ -1,7 +1,5 @@
 """What a reproduction attacks, draws and scores, by the names of its preset."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """The further paths in the run folder of a reproduction."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from skyproof.layout import Layout

@@ -1,7 +1,5 @@
 """The figures of what is tested: kinds of vehicles, samples, the sensor's steps, maps."""
 
-from __future__ import annotations
-
 import textwrap
 from collections import Counter
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """One step of a reproduction in a process of its own, by its name."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

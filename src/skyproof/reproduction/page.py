@@ -1,7 +1,5 @@
 """The page of a reproduction: the paper's tables, and one part for every topic that backs them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from skyproof.reproduction.agreement import agreement_part

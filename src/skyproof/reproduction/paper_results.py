@@ -1,7 +1,5 @@
 """What the paper reports, as numbers to stand beside ours (tables 2 and S3)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

@@ -1,7 +1,5 @@
 """A plan is a list of named steps, with the files that each needs and leaves."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from importlib import import_module

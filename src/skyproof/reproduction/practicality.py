@@ -1,7 +1,5 @@
 """What attacks ask of those who would make them: the paper's signs, and measured quantities."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from skyproof.reproduction.cells import Grid, Heading, Part, Table, sign, value

@@ -1,7 +1,5 @@
 """How far Snakemake is: which steps are finished, what they took, which one failed."""
 
-from __future__ import annotations
-
 import csv
 import io
 import re

@@ -1,7 +1,5 @@
 """A reproduction's report: the page of any run, and the paper's tables in it and beside it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

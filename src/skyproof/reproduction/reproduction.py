@@ -3,8 +3,6 @@
 They stand by attack, each at its best magnitude, beside the paper's numbers.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 

@@ -1,7 +1,5 @@
 """Sheets of sample images: a dataset beside its ground and camouflages, and the sensor's steps."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import torch

@@ -3,8 +3,6 @@
 The steps are handed over by Snakemake's own plug-in; here is only what a user must be told before.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

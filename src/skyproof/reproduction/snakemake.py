@@ -1,7 +1,5 @@
 """A plan done by Snakemake: on many cores of this machine, or on a cluster."""
 
-from __future__ import annotations
-
 import os
 import shlex
 import signal

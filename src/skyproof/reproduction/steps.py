@@ -1,7 +1,5 @@
 """The steps of a reproduction: the command of each, the files that it needs, and its outputs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

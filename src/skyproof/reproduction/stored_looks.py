@@ -1,7 +1,5 @@
 """What camouflages look like, as a run folder's `looks/looks.json` says it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

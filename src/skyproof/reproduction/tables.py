@@ -1,7 +1,5 @@
 """The paper's two tables, of textures and of shapes and combinations, with our numbers."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Transfer: camouflages optimised against some detectors, scored by all."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Can the attacks be trusted? Tests, gradients, the strength ladder, convergence and rounding."""
 
-from __future__ import annotations
-
 import itertools
 import re
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Attacks from several starts: how alike their textures are, and whom they hide (section S7)."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Mapping, Sequence

@@ -6,8 +6,6 @@ a descriptor that the program is to inherit. This process leads a session of its
 signal reaches the program and all that it has started.
 """
 
-from __future__ import annotations
-
 import os
 import select
 import signal

@@ -4,8 +4,6 @@ Differences from the paper (section S7): it optimises in weather to see what bec
 colours; here success is compared, too.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The plan of a reproduction: every attack of the paper with its random controls, scored by all."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path

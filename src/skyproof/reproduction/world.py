@@ -1,7 +1,5 @@
 """Sizes of the made-up world of a reproduction: ground, vehicles, scenes and images."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal
 
