@@ -2,7 +2,7 @@
 
 from skyproof.main import main
 
-COMMANDS = {"Steps of a reproduction": {"step": "skyproof.reproduction.one_step:OneStep"}}
+COMMANDS = {"Steps of a reproduction": {"step": "skyproof.reproduction.command:OneStep"}}
 
 if __name__ == "__main__":
     main(COMMANDS)

@@ -11,11 +11,23 @@ from skyproof.errors import RunFolderError
 from skyproof.files import alone, write_bytes
 from skyproof.report.precheck import precheck_part
 from skyproof.report.report import Section, write_report
-from skyproof.reproduction.cells import Block, Figure, Grid, Heading, as_markdown, number
+from skyproof.reproduction.agreement import agreement_part
+from skyproof.reproduction.cells import Block, Figure, Grid, Heading, Part, as_markdown, number
+from skyproof.reproduction.colours import colours_part
+from skyproof.reproduction.criteria import criteria_part
+from skyproof.reproduction.cycles import cycles_part
+from skyproof.reproduction.features import features_part
+from skyproof.reproduction.held_out import held_out_part
 from skyproof.reproduction.layout import PaperLayout
-from skyproof.reproduction.page import paper_parts
+from skyproof.reproduction.looks import looks_part
+from skyproof.reproduction.practicality import practicality_part
 from skyproof.reproduction.reproduction import Reproduction
-from skyproof.reproduction.tables import shape_table, texture_table
+from skyproof.reproduction.tables import main_part, shape_table, texture_table
+from skyproof.reproduction.trainings import trainings_part
+from skyproof.reproduction.transfer import transfer_part
+from skyproof.reproduction.trust import trust_part
+from skyproof.reproduction.variability import variability_part
+from skyproof.reproduction.weather import weather_part
 from skyproof.results.result import MAIN_MATCH
 from skyproof.results.results import RENDERER, Results
 from skyproof.words import detector_name
@@ -78,7 +90,7 @@ def paper_part(results: Results) -> PaperPart | None:
     run = Reproduction(results)
     if not run.comparable:
         return None
-    parts = paper_parts(run)
+    parts = _parts(run)
     tables = [table for part in parts for table in part.tables]
     # Where a run lacks what a figure shows there is none.
     blocks = [
@@ -97,6 +109,29 @@ def paper_part(results: Results) -> PaperPart | None:
     names = [table.name for table in tables]
     files["README.md"] = as_markdown([*_preamble(run), *blocks, *_files(names)]).encode()
     return PaperPart(Markup("\n").join(map(_html, blocks)), files)
+
+
+def _parts(run: Reproduction) -> list[Part]:
+    """The topics of the report, in its order."""
+    main = main_part(run)
+    textures, shapes, _ = main.tables
+    rows = [*textures.rows, *shapes.rows]
+    return [
+        main,
+        agreement_part(run),
+        cycles_part(run, rows),
+        held_out_part(run),
+        trust_part(run, rows),
+        criteria_part(run),
+        transfer_part(run),
+        trainings_part(run),
+        weather_part(run),
+        features_part(run),
+        practicality_part(run),
+        colours_part(run),
+        variability_part(run),
+        looks_part(run),
+    ]
 
 
 def _preamble(run: Reproduction) -> list[Block]:

@@ -39,7 +39,7 @@ _PRECHECK_CHANGES = 62
 """Changes that a precheck tries on every scene, but for random controls."""
 _PRECHECK_CONTROLS = 6
 _TORCH = Rendering()
-_SCENES = "draw_scenes:draw_scenes"
+_SCENES = "samples:draw_scenes"
 _FEATURES = "gather_features:store_features"
 
 
