@@ -196,7 +196,7 @@ def test_features_are_stored_of_a_texture_its_control_and_a_plain_paint():
     plain = reproduction_plan(Preset.parse(TINY), Path(), blender=BLENDER)
     assert not [step for step in plain.steps if step.kind == "features"]
     for wrong in ("R-U", "S-O@0.4", "T-U-0"):
-        with pytest.raises(ConfigurationError, match=f"features expects learnt .* '{wrong}'"):
+        with pytest.raises(ConfigurationError, match=f"features expects optimised .* '{wrong}'"):
             Preset.parse({**TINY, "features": [wrong]})
 
 
