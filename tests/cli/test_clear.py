@@ -6,7 +6,7 @@ import shutil
 import pytest
 
 from skyproof.detectors.reference_detectors import reference_folder
-from skyproof.imagery.clearing.words import light_words, warnings
+from skyproof.imagery.words import light_words, warnings
 from skyproof.scenes.backgrounds import BackgroundSet
 from tests.cli.conftest import Skyproof
 from tests.imagery.test_clear import tiled

@@ -17,7 +17,7 @@ from skyproof.imagery.settings import (
     tiling_for_images,
 )
 from skyproof.imagery.tiles.tiling import TilingRecord
-from skyproof.imagery.tiles.words import tiling_words
+from skyproof.imagery.words import tiling_words
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.splits import SPLITS
 from skyproof.vehicles.fleet import Fleet, FleetSettings, sample_fleet

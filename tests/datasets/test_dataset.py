@@ -6,10 +6,9 @@ import pytest
 import torch
 from PIL import Image
 
-from skyproof.datasets.ahead import made_ahead
 from skyproof.datasets.coco import Annotation, CocoWriter
 from skyproof.datasets.dataset import Dataset
-from skyproof.datasets.pictures import PictureInMemory, Window
+from skyproof.datasets.pictures import PictureInMemory, Window, made_ahead
 from skyproof.errors import StoredFileError
 from skyproof.scenes.background_index import BackgroundTile, write_index
 

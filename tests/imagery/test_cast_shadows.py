@@ -8,8 +8,13 @@ import pytest
 import torch
 
 from skyproof.ground.procedural import write_procedural_backgrounds
-from skyproof.imagery.clearing.cast_shadows import find_cast_shadows, light_left, shade_map
-from skyproof.imagery.clearing.shaded import lights_record, shaded_tiles
+from skyproof.imagery.clearing.cast_shadows import (
+    find_cast_shadows,
+    light_left,
+    lights_record,
+    shade_map,
+    shaded_tiles,
+)
 from skyproof.imagery.clearing.sunlight import OVERCAST_SKY
 from skyproof.scenes.background_index import BackgroundTile, save_tile, write_index
 from skyproof.scenes.backgrounds import BackgroundSet

@@ -17,10 +17,9 @@ from skyproof.detectors.card import DetectorCard
 from skyproof.detectors.detector import Detections
 from skyproof.errors import ConfigurationError, ImageryError, StoredFileError
 from skyproof.files import finished_folder
-from skyproof.imagery.clearing.clear import clear_backgrounds
-from skyproof.imagery.clearing.rejecting import reject_tiles
+from skyproof.imagery.clearing.clear import clear_backgrounds, reject_tiles
 from skyproof.imagery.clearing.sheet import ContactSheet, SheetRow
-from skyproof.imagery.clearing.vehicle_finder import VehicleFinder, grown_to_what_is_seen
+from skyproof.imagery.clearing.vehicle_masks import VehicleFinder, grown_to_what_is_seen
 from skyproof.imagery.settings import ClearSettings
 from skyproof.scenes.background_index import BackgroundTile, write_index
 from skyproof.scenes.backgrounds import BackgroundSet

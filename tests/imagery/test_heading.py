@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from skyproof.imagery.clearing.heading import estimate_stance
+from skyproof.imagery.clearing.labelled import estimate_stance
 
 GSD_M = 0.125
 SIDE_PX = 96

@@ -11,9 +11,9 @@ from rasterio.transform import Affine
 
 from skyproof.errors import ConfigurationError, ImageryError
 from skyproof.ground.procedural import draw_ground
+from skyproof.imagery.exposure import sun_over
 from skyproof.imagery.settings import SourceSettings
 from skyproof.imagery.tiles.grid import Cell
-from skyproof.imagery.tiles.lights import sun_over
 from skyproof.scenes.light import Light
 from tests.imagery.made import all_tiles, noise, tile, write_image
 

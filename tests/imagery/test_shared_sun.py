@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from skyproof.imagery.clearing.shared_sun import shared_sun
+from skyproof.imagery.clearing.sunlight import shared_sun
 from skyproof.scenes.light import SunEstimate
 
 

@@ -7,7 +7,6 @@ from skyproof.errors import ImageryError
 from skyproof.imagery.labels.label import (
     ImageLabels,
     Label,
-    bounds,
     require_classes,
     require_inside,
     sort_labels,
@@ -43,7 +42,7 @@ def test_named_classes_are_vehicles_and_all_others_ignore_regions():
 
 def test_an_oriented_box_becomes_the_upright_one_around_it():
     label = label_of("car", (20, 10), (26, 18), (22, 21), (16, 13))
-    assert bounds(label) == (16, 10, 26, 21)
+    assert label.bounds == (16, 10, 26, 21)
     assert sort(label) == ([[16, 10, 26, 21]], [])
 
 

@@ -5,8 +5,7 @@ import torch
 
 from skyproof.errors import ConfigurationError
 from skyproof.imagery.settings import TilingSettings
-from skyproof.imagery.tiles.grid import Cell
-from skyproof.imagery.tiles.splits import assign_splits
+from skyproof.imagery.tiles.grid import Cell, assign_splits
 from skyproof.scenes.splits import SPLITS
 
 

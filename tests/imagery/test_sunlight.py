@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -40,9 +41,14 @@ def ground(tmp_path_factory):
     return write_procedural_backgrounds(folder, {"test": 8}, 240, seed=3)
 
 
+@cache
+def parked_fleet():
+    return sample_fleet(FleetSettings(24), generator=torch.Generator().manual_seed(1))
+
+
 def photographs(ground, azimuth_deg, elevation_deg, light):
     """Pictures of parked vehicles under one sun: images, and the vehicles on each."""
-    fleet = sample_fleet(FleetSettings(24), generator=torch.Generator().manual_seed(1))
+    fleet = parked_fleet()
     settings = SceneSettings(
         size_px=SIDE_PX, vehicles_minimum=3, vehicles_maximum=5, tilt_maximum_rad=0.0
     )

@@ -13,7 +13,6 @@ from skyproof.imagery.tiles.grid import cells_of, lay_grids
 from skyproof.imagery.tiles.sources import (
     SourceReader,
     find_images,
-    gdal_limits,
     inspect_source,
 )
 from skyproof.results.statistics.acceptance import fewest_tiles
@@ -72,16 +71,10 @@ def _test_tiles(its: Subject) -> int:
     if not its.request.imagery:
         return its.suite.tiles[3]
     tiling = tiling_of(its)
-    with gdal_limits(), SourceReader() as reader:
+    with SourceReader() as reader:
         given = SourceSettings(gsd_m=its.request.gsd)
         files = find_images(its.request.imagery)
-        grids = lay_grids(
-            [inspect_source(path, given, reader) for path in files],
-            size_px=tiling.size_px,
-            minimum_px=tiling.minimum_px or tiling.size_px,
-            wanted=len(tiling.split_shares),
-            gsd_m=tiling.gsd_m,
-            notes=[],
-        )
+        sources = [inspect_source(path, given, reader) for path in files]
+        grids = lay_grids(sources, tiling, notes=[])
     cells = sum(bool(cell.sources) for grid in grids for cell in cells_of(grid))
     return max(1, round(cells * tiling.shares[3]))

@@ -20,8 +20,7 @@ from skyproof.detectors.reference_detectors import detector_folder
 from skyproof.files import finished_folder, new_file
 from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.imagery.clearing.clear import clear_backgrounds
-from skyproof.imagery.clearing.vehicle_finder import VehicleFinder
-from skyproof.imagery.clearing.words import cleared_words
+from skyproof.imagery.clearing.vehicle_masks import VehicleFinder
 from skyproof.imagery.labels.files import read_labels
 from skyproof.imagery.settings import (
     ClearSettings,
@@ -31,7 +30,7 @@ from skyproof.imagery.settings import (
     tiling_for_images,
 )
 from skyproof.imagery.tiles.tiling import tile_imagery
-from skyproof.imagery.tiles.words import tiling_words
+from skyproof.imagery.words import cleared_words, tiling_words
 from skyproof.layout import Layout
 from skyproof.measure.frames import read_frames
 from skyproof.randomness import generator_of

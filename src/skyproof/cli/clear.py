@@ -14,7 +14,7 @@ from skyproof.files import alone, finished_folder, refuse_existing
 from skyproof.imagery.settings import ClearSettings
 
 if TYPE_CHECKING:
-    from skyproof.imagery.clearing.vehicle_finder import VehicleFinder
+    from skyproof.imagery.clearing.vehicle_masks import VehicleFinder
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Clear:
     def run(self) -> None:
         """Clears the folder, or takes rejected tiles out of it."""
         from skyproof.imagery.clearing.clear import clear_backgrounds
-        from skyproof.imagery.clearing.words import cleared_words
+        from skyproof.imagery.words import cleared_words
 
         if self.out is None:
             self._reject()
@@ -80,8 +80,8 @@ class Clear:
             say(line)
 
     def _reject(self) -> None:
-        from skyproof.imagery.clearing.rejecting import reject_tiles
-        from skyproof.imagery.clearing.words import emptied_words
+        from skyproof.imagery.clearing.clear import reject_tiles
+        from skyproof.imagery.words import emptied_words
         from skyproof.scenes.backgrounds import BackgroundSet
 
         # A folder that is no background set is refused before anything is written.
@@ -114,7 +114,7 @@ def _failed_check(folder: Path) -> str | None:
 def _finder(folder: Path | None, device: str) -> VehicleFinder | None:
     from skyproof.detectors.loaded import load_detector
     from skyproof.device import choose_device
-    from skyproof.imagery.clearing.vehicle_finder import VehicleFinder
+    from skyproof.imagery.clearing.vehicle_masks import VehicleFinder
 
     if folder is None:
         return None

@@ -66,7 +66,7 @@ class Ground:
 
     def run(self) -> None:
         """Writes the tiles and says how many."""
-        from skyproof.imagery.tiles.words import tiling_words
+        from skyproof.imagery.words import tiling_words
         from skyproof.scenes.background_index import change_sensors
 
         with finished_folder(self.out) as folder:

@@ -1,10 +1,8 @@
 """Reads and checks the annotation file of our datasets: COCO with our additions."""
 
-from __future__ import annotations
-
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
 import msgspec
 from msgspec import Meta
@@ -25,6 +23,8 @@ from skyproof.ranges import (
 ANNOTATIONS = "annotations.json"
 REMEDY = "copy the whole folder again, or make the dataset again"
 
+# Label tools round, and may let a box reach over the edge by a pixel.
+_SLACK = 0.005
 _Length = Annotated[float, Meta(ge=0, le=1e9)]
 
 
@@ -57,20 +57,32 @@ class ImageRow(msgspec.Struct, frozen=True):
 
 
 class AnnotationRow(msgspec.Struct, frozen=True):
-    """One vehicle, or with `iscrowd` a region that is not scored.
-
-    Outlines make up most of the file, and only readers that ask for them keep them.
+    """One vehicle, or with `iscrowd` a region that is not scored. Outlines are not kept.
 
     Attributes:
         bbox: left, top, width and height in pixels.
         visible_fraction: share of its pixels that are inside the image and not hidden by the
             photograph; None if not known.
+        centre_px: middle of the vehicle, (x, y); None if not known.
+        corners_px: corners on the ground, as in `Annotation`; None if not known.
+        unlabelled: whether the region was never labelled.
     """
 
     image_id: Seed
     bbox: tuple[Coordinate, Coordinate, _Length, _Length]
     iscrowd: Annotated[int, Meta(ge=0, le=1)]
     visible_fraction: Fraction | None = None
+    centre_px: tuple[Coordinate, Coordinate] | None = None
+    corners_px: tuple[tuple[Coordinate, Coordinate], ...] | None = None
+    unlabelled: bool = False
+
+
+def is_within(box_xyxy: Sequence[float], size_px: tuple[int, int]) -> bool:
+    """Tells whether a box lies in its image, up to rounding by half a percent."""
+    slack_x, slack_y = (_SLACK * side for side in size_px)
+    left, top, right, bottom = box_xyxy
+    inside = left >= -slack_x and top >= -slack_y
+    return inside and right <= size_px[0] + slack_x and bottom <= size_px[1] + slack_y
 
 
 class AnnotationFile(msgspec.Struct, frozen=True):
@@ -80,14 +92,17 @@ class AnnotationFile(msgspec.Struct, frozen=True):
     images: tuple[ImageRow, ...]
     annotations: tuple[AnnotationRow, ...]
 
+    @property
+    def rows_by_image(self) -> list[list[AnnotationRow]]:
+        """The annotations of each image, in the order of the images."""
+        rows: dict[int, list[AnnotationRow]] = {image.id: [] for image in self.images}
+        for annotation in self.annotations:
+            rows[annotation.image_id].append(annotation)
+        return list(rows.values())
 
-File = TypeVar("File", bound=AnnotationFile)
 
-
-def read_annotations(folder: Path, kind: type[File]) -> tuple[File, list[Path]]:
+def read_annotations(folder: Path) -> tuple[AnnotationFile, list[Path]]:
     """Reads `annotations.json` of a dataset folder that `skyproof.datasets.coco.CocoWriter` wrote.
-
-    `kind` is `AnnotationFile`, or a kind with more fields.
 
     Returns:
         The file's content, and the file of each image.
@@ -97,7 +112,7 @@ def read_annotations(folder: Path, kind: type[File]) -> tuple[File, list[Path]]:
             name or a file; an annotation belongs to no image; an image lies outside the folder.
     """
     path = Path(folder) / ANNOTATIONS
-    document: File = read_document(path, kind, REMEDY)
+    document: AnnotationFile = read_document(path, AnnotationFile, REMEDY)
     for what in ("id", "scene_id", "file_name"):
         seen: set[Any] = set()
         for row in document.images:
@@ -119,11 +134,8 @@ def drop_images(folder: Path, names: Collection[str]) -> None:
     """Removes images and their annotations from `annotations.json`; all else stays.
 
     Names (`scene_id`) that the dataset lacks are ignored.
-
-    Raises:
-        StoredFileError: the file is missing, damaged or of another form.
     """
-    known, _ = read_annotations(folder, AnnotationFile)
+    known, _ = read_annotations(folder)
     dropped = {row.id for row in known.images if row.scene_id in names}
     if not dropped:
         return

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, UInt8
+from jaxtyping import Bool
 from PIL import Image
 from torch import Tensor
 
+from skyproof.datasets.pictures import Pixels
 from skyproof.files import write_json
 
 DESCRIPTION = "skyproof scenes"
@@ -70,13 +70,8 @@ class CocoWriter:
         (self.folder / "images").mkdir(parents=True, exist_ok=True)
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if error is None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None:
             document = {
                 "info": self._info,
                 "categories": [CATEGORY],
@@ -85,9 +80,7 @@ class CocoWriter:
             }
             write_json(self.folder / "annotations.json", document)
 
-    def add(
-        self, image: UInt8[Tensor, "3 H W"], scene_id: str, annotations: Sequence[Annotation]
-    ) -> None:
+    def add(self, image: Pixels, scene_id: str, annotations: Sequence[Annotation]) -> None:
         """Writes one image and keeps its annotations for the end."""
         array = image.detach().cpu().permute(1, 2, 0).contiguous().numpy()
         # Speed before size: these images are written once and read a few times.
@@ -100,15 +93,8 @@ class CocoWriter:
         """Keeps the annotations of an image that is already in the folder."""
         image_id = len(self._images) + 1
         width, height = size_px
-        self._images.append(
-            {
-                "id": image_id,
-                "width": width,
-                "height": height,
-                "file_name": _file_name(scene_id),
-                "scene_id": scene_id,
-            }
-        )
+        size: dict[str, Any] = {"id": image_id, "width": width, "height": height}
+        self._images.append(size | {"file_name": _file_name(scene_id), "scene_id": scene_id})
         for annotation in annotations:
             left, top, right, bottom = annotation.box_xyxy
             row: dict[str, Any] = {

@@ -20,20 +20,17 @@ from torch import Tensor
 from skyproof.datasets.annotations import (
     ANNOTATIONS,
     REMEDY,
-    AnnotationFile,
     AnnotationRow,
     ImageRow,
     Information,
+    is_within,
     read_annotations,
 )
 from skyproof.datasets.coco import DESCRIPTION
-from skyproof.datasets.pictures import Picture, PictureFile, PictureInMemory
+from skyproof.datasets.pictures import Boxes, Picture, PictureFile, PictureInMemory, Pixels
 from skyproof.errors import StoredFileError
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.scene import Scene, read_scenes
-
-# As for labels of imagery: rounding may carry a box over the edge.
-_SLACK = 0.005
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,21 +71,19 @@ class Dataset:
                 image outside the folder, or a vehicle outside its image.
         """
         folder = Path(folder)
-        document, files = read_annotations(folder, AnnotationFile)
-        rows: dict[int, list[AnnotationRow]] = {image.id: [] for image in document.images}
-        for annotation in document.annotations:
-            rows[annotation.image_id].append(annotation)
-        vehicles = [[row for row in of_image if not row.iscrowd] for of_image in rows.values()]
+        document, files = read_annotations(folder)
+        rows = document.rows_by_image
+        vehicles = [[row for row in of_image if not row.iscrowd] for of_image in rows]
         for image, of_image in zip(document.images, vehicles, strict=True):
             _refuse_outside(folder, image, of_image)
-        crowds = [[row for row in of_image if row.iscrowd] for of_image in rows.values()]
+        crowds = [[row for row in of_image if row.iscrowd] for of_image in rows]
         return cls(
             pictures=[
                 PictureFile(file, (image.width, image.height))
                 for file, image in zip(files, document.images, strict=True)
             ],
-            boxes=[_boxes(of_image) for of_image in vehicles],
-            ignore=[_boxes(of_image) for of_image in crowds],
+            boxes=[boxes_of(of_image) for of_image in vehicles],
+            ignore=[boxes_of(of_image) for of_image in crowds],
             ids=[image.scene_id for image in document.images],
             gsd_m=document.info.gsd_m,
             visible_fractions=[_visible_fractions(of_image) for of_image in vehicles],
@@ -124,14 +119,11 @@ class Dataset:
     @classmethod
     def joined(cls, parts: Sequence[Dataset]) -> Dataset:
         """Joins several sets of one resolution in their order."""
-        return cls(
-            pictures=[picture for part in parts for picture in part.pictures],
-            boxes=[boxes for part in parts for boxes in part.boxes],
-            ignore=[regions for part in parts for regions in part.ignore],
-            ids=[name for part in parts for name in part.ids],
-            gsd_m=parts[0].gsd_m,
-            visible_fractions=[values for part in parts for values in part.visible_fractions],
-        )
+        fields = ("pictures", "boxes", "ignore", "ids", "visible_fractions")
+        together: dict[str, Any] = {
+            name: [one for part in parts for one in getattr(part, name)] for name in fields
+        }
+        return cls(gsd_m=parts[0].gsd_m, **together)
 
     def __len__(self) -> int:
         return len(self.pictures)
@@ -146,7 +138,7 @@ class Dataset:
         """The area of ground in all images together."""
         return sum(width * height for width, height in self.sizes_px) * self.gsd_m**2
 
-    def image(self, index: int) -> UInt8[Tensor, "3 H W"]:
+    def image(self, index: int) -> Pixels:
         """Decodes one image, as sRGB bytes.
 
         Raises:
@@ -155,11 +147,7 @@ class Dataset:
         return self.pictures[index].read()
 
     def images(self, indices: Iterable[int]) -> list[UInt8[Tensor, "3 _H _W"]]:
-        """Decodes several images at once, each in its own thread.
-
-        Raises:
-            StoredFileError: as `image`.
-        """
+        """Decodes several images at once, each in its own thread."""
         return list(_decoders().map(self.image, indices))
 
     @cached_property
@@ -209,9 +197,6 @@ class Dataset:
         """A short description of the set: its name, and its renderer or source imagery.
 
         It is empty if the images come from several folders or from memory.
-
-        Raises:
-            StoredFileError: the index of the tiled folder around the set is damaged.
         """
         if self.folder is None or self.info is None:
             return ""
@@ -237,21 +222,11 @@ def _decoders() -> ThreadPoolExecutor:
 
 
 def _refuse_outside(folder: Path, image: ImageRow, rows: Sequence[AnnotationRow]) -> None:
-    """Refuses boxes that reach out of their image; vehicles out of sight have boxes without area.
-
-    Raises:
-        StoredFileError: there is one.
-    """
-    slack_x, slack_y = _SLACK * image.width, _SLACK * image.height
+    """Refuses boxes outside their image, except the empty ones of vehicles out of sight."""
     for row in rows:
         left, top, width, height = row.bbox
-        inside = (
-            left >= -slack_x
-            and top >= -slack_y
-            and left + width <= image.width + slack_x
-            and top + height <= image.height + slack_y
-        )
-        if width and height and not inside:
+        box = (left, top, left + width, top + height)
+        if width and height and not is_within(box, (image.width, image.height)):
             raise StoredFileError(
                 f"{folder / ANNOTATIONS} has a box {list(row.bbox)} (left, top, width, height) "
                 f"outside its image {image.scene_id} of {image.width} x {image.height} px; "
@@ -259,7 +234,8 @@ def _refuse_outside(folder: Path, image: ImageRow, rows: Sequence[AnnotationRow]
             )
 
 
-def _boxes(rows: Sequence[AnnotationRow]) -> Tensor:
+def boxes_of(rows: Sequence[AnnotationRow]) -> Boxes:
+    """Returns the boxes of annotations, pixel xyxy."""
     boxes = torch.tensor([row.bbox for row in rows], dtype=torch.float32).reshape(-1, 4)
     return torch.cat([boxes[:, :2], boxes[:, :2] + boxes[:, 2:]], 1)
 

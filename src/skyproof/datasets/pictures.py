@@ -1,20 +1,24 @@
-"""Single pictures that are decoded on demand, whole or window by window."""
+"""Single pictures that are decoded on demand, and items made ahead in a thread."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 import torch
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 from PIL import Image
 from torch import Tensor
 
 from skyproof.datasets.annotations import REMEDY
 from skyproof.pictures import read_pixels
+
+Pixels = UInt8[Tensor, "3 H W"]
+"""A picture of sRGB bytes."""
+Boxes = Float[Tensor, "_n 4"]
+"""Boxes in pixels, xyxy and half-open."""
 
 
 class Window(NamedTuple):
@@ -35,7 +39,7 @@ class Picture(Protocol):
         """Width and height, known without decoding."""
         ...
 
-    def read(self) -> UInt8[Tensor, "3 H W"]:
+    def read(self) -> Pixels:
         """Decodes the whole picture, as sRGB bytes."""
         ...
 
@@ -48,14 +52,14 @@ class Picture(Protocol):
 class PictureInMemory:
     """A picture in memory: `[3, H, W]` sRGB bytes."""
 
-    image: UInt8[Tensor, "3 H W"]
+    image: Pixels
 
     @property
     def size_px(self) -> tuple[int, int]:
         """Width and height."""
         return self.image.shape[2], self.image.shape[1]
 
-    def read(self) -> UInt8[Tensor, "3 H W"]:
+    def read(self) -> Pixels:
         """Gives the image itself, not a copy."""
         return self.image
 
@@ -72,23 +76,36 @@ class PictureFile:
     path: Path
     size_px: tuple[int, int]
 
-    def read(self) -> UInt8[Tensor, "3 H W"]:
-        """Decodes the file.
-
-        Raises:
-            StoredFileError: the file is missing, damaged or of another size than stated.
-        """
+    def read(self) -> Pixels:
+        """Decodes the file."""
         return tensor_of(read_pixels(self.path, REMEDY, size_px=self.size_px))
 
     def windows(self, windows: Sequence[Window]) -> Iterator[UInt8[Tensor, "3 _h _w"]]:
-        """Decodes the file and yields its windows.
-
-        Raises:
-            StoredFileError: as `read`.
-        """
+        """Decodes the file and yields its windows."""
         return PictureInMemory(self.read()).windows(windows)
 
 
-def tensor_of(image: Image.Image | UInt8[np.ndarray, "H W 3"]) -> UInt8[Tensor, "3 H W"]:
+def tensor_of(image: Image.Image | UInt8[np.ndarray, "H W 3"]) -> Pixels:
     """Turns a decoded RGB picture into a tensor of its bytes, channels first, with one copy."""
     return torch.from_numpy(np.array(np.asarray(image).transpose(2, 0, 1), order="C"))
+
+
+Item = TypeVar("Item")
+Made = TypeVar("Made")
+
+
+def made_ahead(make: Callable[[Item], Made], items: Iterable[Item]) -> Iterator[Made]:
+    """Yields `make(item)` for each item in order, and makes the next one in a thread meanwhile.
+
+    At most two results exist at a time. An error of `make` is raised in place of its result. `make`
+    must not depend on the consumer's use of earlier results.
+    """
+    with ThreadPoolExecutor(max_workers=1, thread_name_prefix="ahead") as maker:
+        waiting: Future[Made] | None = None
+        for item in items:
+            upcoming = maker.submit(make, item)
+            if waiting is not None:
+                yield waiting.result()
+            waiting = upcoming
+        if waiting is not None:
+            yield waiting.result()

@@ -1,7 +1,5 @@
 """Labels as YOLO text, the training format of Ultralytics."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from skyproof.datasets.coco import CATEGORY
@@ -20,9 +18,6 @@ def write_yolo(folder: Path) -> None:
     """Writes `labels/*.txt` and `data.yaml` beside a dataset's images.
 
     The format has no ignore regions, so they are left out, as are vehicles out of sight.
-
-    Raises:
-        StoredFileError: the dataset is missing or damaged.
     """
     dataset = Dataset.open(folder)
     labels = folder / "labels"
@@ -33,12 +28,8 @@ def write_yolo(folder: Path) -> None:
         lines = []
         for left, top, right, bottom in boxes.tolist():
             if right > left and bottom > top:
-                parts = (
-                    (left + right) / 2 / width,
-                    (top + bottom) / 2 / height,
-                    (right - left) / width,
-                    (bottom - top) / height,
-                )
+                centre = ((left + right) / 2 / width, (top + bottom) / 2 / height)
+                parts = (*centre, (right - left) / width, (bottom - top) / height)
                 lines.append("0 " + " ".join(f"{part:.7f}" for part in parts) + "\n")
         (labels / f"{name}.txt").write_text("".join(lines), encoding="utf-8")
     (folder / "data.yaml").write_text(_DATA, encoding="utf-8")

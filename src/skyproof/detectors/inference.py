@@ -8,9 +8,8 @@ from jaxtyping import Float, UInt8
 from torch import Tensor, nn
 from torchvision import ops
 
-from skyproof.datasets.ahead import made_ahead
 from skyproof.datasets.dataset import Dataset
-from skyproof.datasets.pictures import Picture, Window
+from skyproof.datasets.pictures import Picture, Window, made_ahead
 from skyproof.detectors.detector import SUPPRESSION_IOU, Detections, Detector
 
 LARGEST_WHOLE_PX = 1024

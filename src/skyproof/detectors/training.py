@@ -13,8 +13,8 @@ from torch import Tensor, nn
 from torch.optim.lr_scheduler import LambdaLR
 from torch.optim.swa_utils import AveragedModel
 
-from skyproof.datasets.ahead import made_ahead
 from skyproof.datasets.dataset import Dataset
+from skyproof.datasets.pictures import made_ahead
 from skyproof.detectors.batches import WINDOW_PX, training_batch
 from skyproof.detectors.card import DetectorCard, installed_version
 from skyproof.detectors.detector import TrainableDetector

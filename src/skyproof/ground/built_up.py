@@ -7,9 +7,14 @@ import numpy as np
 
 from skyproof.ground.buildings import add_building
 from skyproof.ground.canvas import Canvas, Patch, reflectance
-from skyproof.ground.clutter import add_clutter, add_lamp_post
-from skyproof.ground.markings import mark_guides
-from skyproof.ground.plants import add_bush, add_hedge, add_stand, add_tree
+from skyproof.ground.clutter import (
+    add_bush,
+    add_clutter,
+    add_hedge,
+    add_lamp_post,
+    add_stand,
+    add_tree,
+)
 from skyproof.ground.surfaces import (
     ASPHALT,
     CONCRETE,
@@ -21,6 +26,7 @@ from skyproof.ground.surfaces import (
     lay_grass,
     lay_paving,
     lay_soil,
+    mark_guides,
 )
 
 _LINE = reflectance((230, 228, 220))

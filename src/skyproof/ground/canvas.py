@@ -1,7 +1,5 @@
 """The canvas of the procedural ground: reflectance and height, then lit and photographed."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -7,8 +7,7 @@ import numpy as np
 
 from skyproof.ground.buildings import add_building
 from skyproof.ground.canvas import Canvas, palette, reflectance
-from skyproof.ground.clutter import add_clutter
-from skyproof.ground.plants import add_bush, add_stand, add_tree
+from skyproof.ground.clutter import add_bush, add_clutter, add_stand, add_tree
 from skyproof.ground.surfaces import SOIL, add_road, allow_lanes, lay_asphalt, lay_grass, lay_soil
 
 _COURTS = palette("783c32 325a50 3c5078 787878")

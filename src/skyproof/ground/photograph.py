@@ -53,13 +53,7 @@ class GroundSensor:
 
 @dataclass(frozen=True)
 class Photograph:
-    """A picture of the canvas.
-
-    Attributes:
-        image: `[3, size, size]` sRGB bytes.
-        light: the light that it shows.
-        shade: map of the shadows in it, as `BackgroundTile.shade` says.
-    """
+    """A picture `[3, size, size]` of the canvas, its light, and its map of shadows."""
 
     image: NDArray[np.uint8]
     light: Light

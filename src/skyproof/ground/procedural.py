@@ -35,17 +35,7 @@ GROUND_KINDS: dict[str, tuple[Callable[[Canvas], None], float]] = {
 
 @dataclass(frozen=True)
 class Ground:
-    """A drawn tile.
-
-    Attributes:
-        image: `[3, H, W]` sRGB bytes.
-        kind: one of `GROUND_KINDS`.
-        light: light of the picture.
-        sensor: blur and noise of the picture.
-        directions: `[H, W]` map of drivable ground, as `skyproof.scenes.directions` says.
-        shade: `[H, W]` map of shadows, as `BackgroundTile.shade` says.
-        cover: `[H, W]` map of crowns and roofs, as `BackgroundTile.cover` says.
-    """
+    """A drawn tile `[3, H, W]` with its light and sensor, and maps as in `BackgroundTile`."""
 
     image: UInt8[Tensor, "3 H W"]
     kind: str

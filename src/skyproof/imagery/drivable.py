@@ -1,71 +1,67 @@
-"""Where vehicles may stand on imagery, by a simple rule, and which way they head there."""
-
-from __future__ import annotations
+"""Finds drivable ground on imagery by a simple rule, and the heading of vehicles there."""
 
 import math
 from typing import Any
 
 import numpy as np
 import torch.nn.functional as F
-from jaxtyping import Float, UInt8
+from jaxtyping import UInt8
 from numpy.typing import NDArray
 from scipy import ndimage
 from torch import Tensor
 
+from skyproof.datasets.pictures import Boxes, Pixels
 from skyproof.scenes.directions import direction_values, with_room
 
 _Grid = NDArray[np.floating[Any]]
 _Mask = NDArray[np.bool_]
 
 CELL_M = 0.375
-"""The rule looks at cells of about this size, so that it costs little and sees no noise."""
+"""The rule works on cells of about this size, so that it is fast and ignores noise."""
 LINES_M = 1.75
-"""Brighter marks narrower than half of this are paint on the ground, and belong to it."""
+"""Brighter marks narrower than half of this count as paint on the ground."""
 ROUGHNESS = 0.03
 STEP_PER_CELL = 0.06
-"""What is plain: the largest dark deviation, in parts of the brightness, and the largest step."""
+"""Plain ground has no larger dark deviation, as a share of the brightness, and no larger step."""
 LARGEST_SATURATION = 0.2
 LARGEST_GREENNESS = 0.03
 DARKEST, BRIGHTEST = 0.15, 0.85
 """Asphalt and concrete, in sRGB from 0 to 1: grey, and neither shadow nor white roof."""
 CHROMA_NEAR = 0.03
 BRIGHTNESS_NEAR = 0.35
-"""What looks like the ground beside a labelled vehicle: shares of red, green and blue within the
-first, and brightness within this part of its own."""
+"""Ground looks like that beside a labelled vehicle if its shares of red, green and blue differ by
+less than the first, and its brightness by less than this share."""
 BESIDE_M = (0.4, 1.5)
 TOUCHING_M = 1.5
 DIRECTION_WITHIN_M = 3.0
-"""Standard deviation of the Gaussian within which edges say the direction."""
+"""Standard deviation of the Gaussian that weights edges for the direction."""
 
 
 def drivable_directions(
-    image: UInt8[Tensor, "3 H W"],
+    image: Pixels,
     gsd_m: float,
-    vehicles: Float[Tensor, "n 4"] | None = None,
+    vehicles: Boxes | None = None,
     cover: UInt8[Tensor, "H W"] | None = None,
 ) -> UInt8[np.ndarray, "H W"]:
     """Makes a tile's map of drivable ground (`skyproof.scenes.directions`) from its picture.
 
-    Ground is drivable where it is plain (without dark texture or steps over some metres; painted
-    lines belong to it), wide enough for a vehicle (2.5 m, over 5.3 m), and
+    Drivable ground is plain (without dark texture or steps over some metres, except painted lines),
+    wide enough for a vehicle (2.5 m, over 5.3 m), and
 
     - without labels, grey: hardly saturated, not green, neither in shadow nor white;
-    - with labels, of a colour as beside one of the tile's vehicles, and connected with where one
-      stands or stood.
+    - with labels, of a colour as beside one of the tile's vehicles, and connected with the place of
+      a vehicle.
 
-    Ground of which crowns or roofs cover more than half is not drivable.
+    Crowns or roofs cover at most half of it. The heading runs along the edges around: the direction
+    of least change by the structure tensor of the picture, within some 3 m.
 
-    The heading is along the edges around: the direction of least change by the structure tensor of
-    the picture, within some 3 m.
-
-    Limits: without labels flat grey roofs and squares count as drivable, and tracks of soil do not;
-    with labels only ground on which somebody was counts. Crossings have one direction, and so has
-    each bay of a car park only where its lines outweigh the rows'. Nothing is known of lanes.
+    Limits: without labels flat grey roofs and squares count as drivable, and tracks of soil do not.
+    With labels only ground near vehicles counts. A crossing has one direction. A bay of a car park
+    has its own only if its lines outweigh those of the rows. Lanes are not known.
 
     Args:
-        vehicles: boxes of the vehicles that are labelled, pixel xyxy; None where nobody labelled
-            the tile.
-        cover: the tile's map of what hides the ground, as `BackgroundTile.cover` says.
+        vehicles: boxes of the labelled vehicles, pixel xyxy; None for an unlabelled tile.
+        cover: the tile's map of crowns and roofs, as `BackgroundTile.cover` says.
     """
     cell_px = max(1, round(CELL_M / gsd_m))
     cell_m = cell_px * gsd_m
@@ -91,14 +87,14 @@ def drivable_directions(
     return result
 
 
-def _cells(image: UInt8[Tensor, "3 H W"], cell_px: int) -> _Grid:
+def _cells(image: Pixels, cell_px: int) -> _Grid:
     """Averages the picture over whole cells, `[rows, columns, 3]` in 0 to 1."""
     averaged = F.avg_pool2d(image.float(), cell_px) / 255
     return averaged.permute(1, 2, 0).double().contiguous().numpy()
 
 
 def _plain(grey: _Grid, cell_m: float) -> _Mask:
-    """Tells ground without dark texture and without steps; lines brighter than it count as it."""
+    """Masks ground without dark texture and without steps, except brighter lines."""
     # Medians along rows and then along columns cost a fifth of one over squares.
     width = max(3, round(LINES_M / cell_m))
     without_lines = ndimage.median_filter(ndimage.median_filter(grey, (1, width)), (width, 1))
@@ -116,17 +112,15 @@ def _mean(colour: _Grid) -> _Grid:
 
 def _grey(colour: _Grid) -> _Mask:
     brightness = _mean(colour)
-    red, green, blue = (colour[..., channel] for channel in range(3))
-    highest = np.maximum(np.maximum(red, green), blue)
-    lowest = np.minimum(np.minimum(red, green), blue)
-    grey: _Mask = (highest - lowest < LARGEST_SATURATION * highest) & (
-        green - (red + blue) / 2 < LARGEST_GREENNESS
-    )
+    red, green, blue = np.moveaxis(colour, 2, 0)
+    highest, lowest = colour.max(2), colour.min(2)
+    grey: _Mask = highest - lowest < LARGEST_SATURATION * highest
+    grey &= green - (red + blue) / 2 < LARGEST_GREENNESS
     return grey & (brightness > DARKEST) & (brightness < BRIGHTEST)
 
 
 def _like_beside(colour: _Grid, plain: _Mask, boxes: _Grid, cell_m: float) -> _Mask:
-    """Tells what looks like the plain ground beside at least one vehicle."""
+    """Masks ground that looks like the plain ground beside at least one vehicle."""
     brightness = np.maximum(_mean(colour), 1e-3)
     chroma = colour / (3 * brightness[..., None])
     free = plain & ~_around(plain.shape, boxes, BESIDE_M[0] / cell_m)
@@ -134,14 +128,14 @@ def _like_beside(colour: _Grid, plain: _Mask, boxes: _Grid, cell_m: float) -> _M
     for box in boxes:
         near = _grown(box, BESIDE_M[1] / cell_m)
         if free[near].any():
-            own_chroma = np.median(chroma[near][free[near]], 0)
-            own_brightness = np.median(brightness[near][free[near]])
-            seen.append([*np.round(own_chroma, 2), round(float(own_brightness), 2)])
+            shares = np.median(chroma[near][free[near]], 0)
+            level = np.median(brightness[near][free[near]])
+            seen.append([*np.round(shares, 2), round(float(level), 2)])
     like = np.zeros_like(plain)
     # Many vehicles stand on ground of few colours.
-    for red, green, blue, own in np.unique(np.array(seen).reshape(-1, 4), axis=0):
-        alike = np.all(np.abs(chroma - np.array([red, green, blue])) < CHROMA_NEAR, axis=2)
-        like |= alike & (np.abs(brightness - own) < BRIGHTNESS_NEAR * own)
+    for *shares, level in np.unique(np.array(seen).reshape(-1, 4), axis=0):
+        alike = np.all(np.abs(chroma - np.array(shares)) < CHROMA_NEAR, axis=2)
+        like |= alike & (np.abs(brightness - level) < BRIGHTNESS_NEAR * level)
     return like
 
 
@@ -161,7 +155,7 @@ def _around(size: tuple[int, ...], boxes: _Grid, margin: float) -> _Mask:
 
 
 def _grown(box: _Grid, margin: float) -> tuple[slice, slice]:
-    """Gives the rows and columns of a box grown by a margin."""
+    """Returns the rows and columns of a box grown by a margin."""
     left, top, right, bottom = box.tolist()
     rows = slice(max(0, math.floor(top - margin)), max(0, math.ceil(bottom + margin)))
     columns = slice(max(0, math.floor(left - margin)), max(0, math.ceil(right + margin)))
@@ -169,23 +163,23 @@ def _grown(box: _Grid, margin: float) -> tuple[slice, slice]:
 
 
 def _tidied(free: _Mask) -> _Mask:
-    """Takes away specks and fills pinholes."""
+    """Removes specks and fills pinholes."""
     opened = ndimage.binary_opening(free)
     closed: _Mask = ndimage.binary_closing(opened) | opened
     return closed
 
 
 def _heading_rad(grey: _Grid, cell_m: float) -> _Grid:
-    """Gives the direction of least change around each cell, from x (right) towards up."""
+    """Returns the direction of least change around each cell, from x (right) towards up."""
     right = ndimage.gaussian_filter(grey, 1, order=(0, 1))
     down = ndimage.gaussian_filter(grey, 1, order=(1, 0))
-    # Weak edges count in proportion to their strength, strong ones hardly more than one another:
-    # a tree's rim would drown the kerb otherwise.
+    # Weak edges count in proportion to their strength, and strong ones almost equally, so that a
+    # tree's rim does not drown the kerb.
     strength = np.hypot(right, down)
     weight = 1 / ((strength + 1e-6) * (1 + 50 * strength))
     reach = DIRECTION_WITHIN_M / cell_m
     difference = ndimage.gaussian_filter((right * right - down * down) * weight, reach, truncate=3)
     product = ndimage.gaussian_filter(2 * right * down * weight, reach, truncate=3)
     across_rad = 0.5 * np.arctan2(product, difference)
-    # Rows run down; what is along is at right angles to what is across.
+    # Rows run down, and the heading is at right angles to the change.
     return -(across_rad + math.pi / 2)

@@ -1,22 +1,29 @@
-"""Measures how photographs show light: white, black and the colour of grey, on their own ground.
+"""The light of photographs: measured exposure, and the sun of a date and time."""
 
-Vehicles are then drawn as bright as the photograph would have shown them.
-"""
-
-from __future__ import annotations
-
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 import torch
+from astral import Observer
+from astral.sun import azimuth, elevation
 from jaxtyping import Float, UInt8
 from numpy.typing import NDArray
+from rasterio.crs import CRS
 from torch import Tensor
 
+from skyproof.datasets.pictures import Pixels
 from skyproof.errors import ImageryError
 from skyproof.geometry.colour import srgb_to_linear
-from skyproof.scenes.light import Light, rounded_levels
+from skyproof.imagery.tiles.georeference import to_reference_system
+from skyproof.imagery.tiles.grid import Cell
+from skyproof.scenes.background_index import BackgroundTile
+from skyproof.scenes.backgrounds import BackgroundSet
+from skyproof.scenes.light import Light, SunEstimate, rounded_levels
 
 Array = NDArray[np.float64]
 Item = TypeVar("Item")
@@ -29,16 +36,16 @@ DARK_SHARE = 0.002
 GREY_SATURATION = 0.12
 FEWEST_GREY = 0.02
 
-# White is so many times as bright as the brightest thousandth of the ground (road markings, light
-# roofs), and as its median. Fitted on drawn ground, whose white is known; the first says it within
-# a quarter on a single tile of 37 m, the second within two fifths, and they are weighted so.
+# Brightness of white against the brightest thousandth of the ground (road markings, light roofs)
+# and against its median, fitted on drawn ground, whose white is known. On a single tile of 37 m the
+# first is right within a quarter, the second within two fifths, hence the weight.
 _WHITE_OF_BRIGHTEST = 1.6
 _WHITE_OF_MEDIAN = 6.6
 _WEIGHT_OF_BRIGHTEST = 0.8
 _LEAST_WHITE, _LARGEST_WHITE = 0.3, 4.0
-# Around a vehicle's middle nothing is taken for ground.
+# Pixels nearer to a vehicle's middle do not count as ground.
 _VEHICLE_M = 3.5
-# A surface in deep shadow still sends this share of what white sends.
+# Brightness of a surface in deep shadow as a share of white.
 _DEEPEST = 0.01
 
 
@@ -48,15 +55,12 @@ def some_of(tiles: Sequence[Item]) -> Sequence[Item]:
 
 
 def ground_pixels(
-    image: UInt8[Tensor, "3 H W"], vehicles_px: Float[Tensor, "n 2"], *, gsd_m: float
+    image: Pixels, vehicles_px: Float[Tensor, "n 2"], *, gsd_m: float
 ) -> UInt8[Tensor, "P 3"]:
-    """Takes every third pixel along and across, but for those of vehicles.
+    """Takes every third pixel along and across, except those near the middles (x, y) of vehicles.
 
     White paint and the sun's glints on it are far brighter than any ground: on aerial photographs
-    of Munich they made white 1.5 times as bright as it was.
-
-    Args:
-        vehicles_px: the middles (x, y) of the vehicles in it.
+    of Munich they made white 1.5 times too bright.
     """
     sampled = image[:, ::STRIDE_PX, ::STRIDE_PX]
     rows, columns = sampled.shape[1:]
@@ -70,22 +74,16 @@ def ground_pixels(
 
 
 def measure_exposure(grounds: Iterable[UInt8[Tensor, "P 3"]]) -> Light:
-    """Measures white, black and white balance; the sky's part of the light stays the usual one.
+    """Measures white, black and white balance from `ground_pixels` of tiles of one source.
 
-    White is told by the brightest thousandth of the ground and by its median. Its colour is that of
-    grey ground, the median of all pixels whose channels differ by at most 12 %; where hardly any
-    ground is grey, it is neutral. Black is the darkest 0.2 % of each channel.
+    White comes from the brightest thousandth of the ground and from its median. Its colour is that
+    of grey ground, the median of all pixels whose channels differ by at most 12 %, and neutral if
+    hardly any ground is grey. Black is the darkest 0.2 % of each channel.
 
     Ground of one kind, such as a field alone or snow, misleads it: it takes a bright sand for a
-    bright exposure. A tint of more than a tenth is found in part: under it grey is no longer grey.
-    On drawn ground, the error of white is within a third on most single tiles, and within a tenth
-    over forty (tests).
-
-    Args:
-        grounds: `ground_pixels` of tiles of one source.
-
-    Raises:
-        ImageryError: there is hardly anything to measure, or the imagery has one colour alone.
+    bright exposure. A tint of more than a tenth is found in part, because grey is no longer grey
+    under it. On drawn ground, the error of white is within a third on most single tiles, and within
+    a tenth over forty (tests).
     """
     samples = [each.numpy() for each in grounds]
     pixels = np.concatenate(samples) if samples else np.zeros((0, 3))
@@ -96,12 +94,10 @@ def measure_exposure(grounds: Iterable[UInt8[Tensor, "P 3"]]) -> Light:
         )
     light = _linear(np.asarray(pixels, np.uint8))
     luminance = light.mean(1)
-    # White, by what is brightest and by what is usual.
     brightest, median = np.quantile(luminance, (BRIGHT_SHARE, 0.5))
     logarithm = _WEIGHT_OF_BRIGHTEST * np.log(_WHITE_OF_BRIGHTEST * brightest)
     logarithm += (1 - _WEIGHT_OF_BRIGHTEST) * np.log(_WHITE_OF_MEDIAN * max(median, 1e-3))
     white = float(np.clip(np.exp(logarithm), _LEAST_WHITE, _LARGEST_WHITE))
-    # Its colour, by what is grey.
     spread = pixels.max(1).astype(float) - pixels.min(1)
     grey = light[spread <= GREY_SATURATION * np.maximum(pixels.max(1), 1)]
     balance = np.ones(3)
@@ -115,3 +111,91 @@ def measure_exposure(grounds: Iterable[UInt8[Tensor, "P 3"]]) -> Light:
 def _linear(pixels: NDArray[np.uint8]) -> Array:
     table = srgb_to_linear(torch.arange(256, dtype=torch.float64) / 255).numpy()
     return np.take(table, pixels)
+
+
+_DEGREES = CRS.from_epsg(4326)
+_NORTH_M = 100.0
+# Vehicles cannot be counted in a photograph under a lower sun.
+_LOWEST_DEG = 5.0
+
+
+def lit_tiles(
+    folder: Path,
+    tiles: Sequence[BackgroundTile],
+    gsd_m: float,
+    suns: Mapping[str, SunEstimate],
+    vehicles_px: Mapping[str, Float[Tensor, "n 2"]],
+    notes: list[str],
+) -> list[BackgroundTile]:
+    """Measures how each source shows light, on up to 31 of its tiles, and gives it to its tiles.
+
+    `suns` and the middles of known vehicles, `[n, 2]`, come by the tiles' ids. The result, and
+    sources that show too little, are noted.
+    """
+    backgrounds = BackgroundSet(folder, gsd_m, tiles)
+    of_source: dict[str, list[BackgroundTile]] = {}
+    for tile in tiles:
+        of_source.setdefault(tile.source, []).append(tile)
+    measured: dict[str, Light] = {}
+    for source, of_one in of_source.items():
+        try:
+            measured[source] = exposure_of(backgrounds, of_one, vehicles_px)
+        except ImageryError:
+            notes.append(
+                f"{source}: too plain to measure its exposure; vehicles will be drawn as on a "
+                "clear day, well exposed"
+            )
+    if measured:
+        whites = [sum(light.white) / 3 for light in measured.values()]
+        notes.append(
+            f"exposure measured: white in the open sun would be shown as {min(whites):.2f} to "
+            f"{max(whites):.2f} of the brightest value; vehicles will be drawn alike"
+        )
+    lit = []
+    for tile in tiles:
+        light = replace(measured.get(tile.source, Light()), sun=suns.get(tile.id))
+        lit.append(replace(tile, light=light))
+    return lit
+
+
+def exposure_of(
+    backgrounds: BackgroundSet,
+    tiles: Sequence[BackgroundTile],
+    vehicles_px: Mapping[str, Float[Tensor, "n 2"]],
+) -> Light:
+    """Measures the exposure of one source on some of its tiles, away from vehicles."""
+    nothing, gsd_m = torch.zeros(0, 2), backgrounds.gsd_m
+    return measure_exposure(
+        ground_pixels(backgrounds.pixels(tile.id), vehicles_px.get(tile.id, nothing), gsd_m=gsd_m)
+        for tile in some_of(tiles)
+    )
+
+
+def sun_over(cell: Cell, taken: datetime) -> SunEstimate:
+    """Computes the place of the sun over a cell, in the cell's axes, without refraction."""
+    left, bottom, right, top = cell.extent
+    middle = ((left + right) / 2, (bottom + top) / 2)
+    above = (middle[0], middle[1] + _NORTH_M)
+    if cell.crs is None:
+        raise ImageryError(
+            "--source.taken expects georeferenced images, because the sun of a date and time "
+            "depends on the place, but some have no georeference; leave it out, and let "
+            "`skyproof clear` measure the sun from the vehicles' shadows."
+        )
+    (longitude, latitude), (east, north) = to_reference_system(cell.crs, _DEGREES, [middle, above])
+    # Angle from the cell's y axis clockwise to true north.
+    grid_rad = math.atan2((east - longitude) * math.cos(math.radians(latitude)), north - latitude)
+    place = Observer(latitude, longitude)
+    height_deg = elevation(place, taken, with_refraction=False)
+    if height_deg < _LOWEST_DEG:
+        raise ImageryError(
+            f"--source.taken expects a time of day, but at {taken.isoformat()} the sun stood at "
+            f"{height_deg:.0f} degrees over {latitude:.2f} N, {longitude:.2f} E; check the time "
+            "zone."
+        )
+    from_grid_north_rad = math.radians(azimuth(place, taken)) - grid_rad
+    return SunEstimate(
+        azimuth_rad=round((math.pi / 2 - from_grid_north_rad) % (2 * math.pi), 4),
+        elevation_rad=round(math.radians(height_deg), 4),
+        known_from=f"date and time, {taken.isoformat()}",
+    )

@@ -1,6 +1,4 @@
-"""Whole annotated images: read, brought to one resolution, ignore regions set."""
-
-from __future__ import annotations
+"""Reads whole annotated images at one resolution, with ignore regions."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -12,14 +10,21 @@ from PIL import Image
 from torch import Tensor
 
 from skyproof.datasets.dataset import Dataset
-from skyproof.datasets.pictures import Window, tensor_of
+from skyproof.datasets.pictures import Pixels, Window, tensor_of
 from skyproof.errors import ImageryError
 from skyproof.imagery.labels.files import read_labels
-from skyproof.imagery.labels.label import GroundLabels, require_classes, require_inside, sort_labels
+from skyproof.imagery.labels.label import (
+    GroundLabels,
+    ImageLabels,
+    Label,
+    require_classes,
+    require_inside,
+    sort_labels,
+)
 from skyproof.imagery.tiles.georeference import image_name
 from skyproof.pictures import LARGEST_PX, open_picture, whole_picture
 
-# Frames are decoded by Pillow, which reads fewer forms than what cuts tiles.
+# Frames are decoded by Pillow, which reads fewer formats than GDAL.
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 _REMEDY = "replace it, leave it out, or cut it into smaller frames"
 
@@ -30,38 +35,26 @@ one at 12 cm."""
 
 @dataclass(frozen=True)
 class FramePicture:
-    """An annotated frame that is brought to another resolution when somebody looks at it."""
+    """An annotated frame that is resampled when it is read."""
 
     path: Path
     source_size_px: tuple[int, int]
     size_px: tuple[int, int]
 
-    def read(self) -> UInt8[Tensor, "3 H W"]:
-        """Decodes and resamples the whole frame, with anti-aliasing.
-
-        Raises:
-            ImageryError: the file is missing or damaged.
-        """
+    def read(self) -> Pixels:
+        """Decodes and resamples the whole frame, with anti-aliasing."""
         # Pillow widens its kernel when it shrinks, so this does not alias.
         return tensor_of(self._decoded().resize(self.size_px, Image.Resampling.BICUBIC))
 
     def windows(self, windows: Sequence[Window]) -> Iterator[UInt8[Tensor, "3 _h _w"]]:
-        """Decodes the frame and yields windows of the resampled picture, each made by itself.
-
-        Raises:
-            ImageryError: the file is missing or damaged.
-        """
+        """Decodes the frame once and yields windows of the resampled picture."""
         source = self._decoded()
-        scale_x = self.source_size_px[0] / self.size_px[0]
-        scale_y = self.source_size_px[1] / self.size_px[1]
+        right, bottom = self.source_size_px
+        scale_x, scale_y = right / self.size_px[0], bottom / self.size_px[1]
         for left, top, width, height in windows:
-            box = (
-                left * scale_x,
-                top * scale_y,
-                min((left + width) * scale_x, self.source_size_px[0]),
-                min((top + height) * scale_y, self.source_size_px[1]),
-            )
-            # The kernel sees the pixels around the box, so that windows have no seams.
+            last_x, last_y = (left + width) * scale_x, (top + height) * scale_y
+            box = (left * scale_x, top * scale_y, min(last_x, right), min(last_y, bottom))
+            # The kernel reads the pixels around the box, so that windows have no seams.
             yield tensor_of(source.resize((width, height), Image.Resampling.BICUBIC, box=box))
 
     def _decoded(self) -> Image.Image:
@@ -80,22 +73,21 @@ def read_frames_folder(
 ) -> Dataset:
     """Reads images of 8 bits with labels in pixels: COCO, YOLO text or DOTA text.
 
-    Labels and sizes are read at once, pixels when somebody looks at an image.
+    Labels and sizes are read at once, pixels on demand.
 
     Args:
-        folder: holds the images, or an `images` folder that does.
-        labels: as `read_labels` takes them; `folder` itself where None.
-        target_gsd_m: what they are resampled to, with anti-aliasing; boxes are scaled along.
+        folder: folder of the images, or of an `images` folder.
+        labels: path for `read_labels`; `folder` by default.
+        target_gsd_m: resolution to which images and boxes are resampled, with anti-aliasing.
         classes: names that count as vehicles; every other class becomes an ignore region.
-        border_px: in a band this wide (source pixels) nothing is scored; a box whose centre lies in
-            it becomes an ignore region.
-        pattern: only images whose file name matches, for folders of more than one resolution or
-            place.
+        border_px: width in source pixels of a border band that is not scored; a box whose centre
+            lies in it becomes an ignore region.
+        pattern: pattern of the images' file names, for folders of several resolutions or places.
 
     Raises:
-        ImageryError: no images, an image that is damaged or has no labels, a class that the labels
-            do not know, labels of another form, in map coordinates, of another image size or
-            outside their image.
+        ImageryError: there are no images, or one is damaged or has no labels; the labels lack a
+            class, have another form, map coordinates or another image size, or lie outside their
+            image.
     """
     folder = Path(folder)
     files = _image_files(folder, pattern) or _image_files(folder / "images", pattern)
@@ -114,40 +106,14 @@ def read_frames_folder(
     boxes: list[Tensor] = []
     ignore: list[Tensor] = []
     for file in files:
-        # What lies in folders of numbers, as map tiles do, may be labelled by its stem alone.
-        name = image_name(file)
-        name = name if name in annotations.images else file.stem
-        if name not in annotations.images:
-            raise ImageryError(
-                f"{file} has no labels in {place}; an image without vehicles needs an empty text "
-                "file or an entry."
-            )
         source_size = _size_px(file)
-        width, height = source_size
-        stated = annotations.sizes_px.get(name, source_size)
-        if stated != source_size:
-            raise ImageryError(
-                f"{file} has {width} x {height} px but {place} says {stated[0]} x {stated[1]}; "
-                "give the images that were labelled."
-            )
-        of_image = annotations.images[name]
-        for number, label in enumerate(of_image, 1):
-            require_inside(label, source_size, f"{place}, label {number} of {name},")
+        of_image = _labels_of(file, source_size, annotations, place)
         # Labels in pixels have corners, never a point alone.
         truths, ignored = sort_labels(
             of_image, classes=classes, size_px=source_size, border_px=border_px, point_box_px=0.0
         )
-        size = (
-            max(1, round(width * gsd_m / target_gsd_m)),
-            max(1, round(height * gsd_m / target_gsd_m)),
-        )
-        if size[0] * size[1] > LARGEST_PX:
-            raise ImageryError(
-                f"{file} of {gsd_m} m per pixel would have {size[0]:,} x {size[1]:,} px at the "
-                f"detector's {target_gsd_m} m, more than {LARGEST_PX:,} pixels in all; check its "
-                "resolution, or cut it into smaller frames."
-            )
-        scale = torch.tensor([size[0] / width, size[1] / height] * 2, dtype=torch.float32)
+        size = _resized(file, source_size, gsd_m, target_gsd_m)
+        scale = torch.tensor([new / old for new, old in zip(size, source_size, strict=True)] * 2)
         pictures.append(FramePicture(file, source_size, size))
         boxes.append(truths * scale)
         ignore.append(ignored * scale)
@@ -159,6 +125,41 @@ def read_frames_folder(
         gsd_m=target_gsd_m,
         visible_fractions=[torch.full((len(truths),), torch.nan) for truths in boxes],
     )
+
+
+def _labels_of(
+    file: Path, size_px: tuple[int, int], annotations: ImageLabels, place: Path
+) -> Sequence[Label]:
+    # Images in folders of numbers, as map tiles are, may be labelled by their stems.
+    name = image_name(file)
+    name = name if name in annotations.images else file.stem
+    if name not in annotations.images:
+        raise ImageryError(
+            f"{file} has no labels in {place}; an image without vehicles needs an empty text "
+            "file or an entry."
+        )
+    stated = annotations.sizes_px.get(name, size_px)
+    if stated != size_px:
+        raise ImageryError(
+            f"{file} has {size_px[0]} x {size_px[1]} px but {place} says {stated[0]} x "
+            f"{stated[1]}; give the images that were labelled."
+        )
+    for number, label in enumerate(annotations.images[name], 1):
+        require_inside(label, size_px, f"{place}, label {number} of {name},")
+    return annotations.images[name]
+
+
+def _resized(
+    file: Path, source_px: tuple[int, int], gsd_m: float, target_gsd_m: float
+) -> tuple[int, int]:
+    width, height = (max(1, round(side * gsd_m / target_gsd_m)) for side in source_px)
+    if width * height > LARGEST_PX:
+        raise ImageryError(
+            f"{file} of {gsd_m} m per pixel would have {width:,} x {height:,} px at the "
+            f"detector's {target_gsd_m} m, more than {LARGEST_PX:,} pixels in all; check its "
+            "resolution, or cut it into smaller frames."
+        )
+    return width, height
 
 
 def _image_files(folder: Path, pattern: str) -> list[Path]:

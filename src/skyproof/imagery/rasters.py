@@ -1,9 +1,7 @@
-"""The one way to open a raster with GDAL: known formats, stated limits, nothing from elsewhere.
+"""Opens rasters with GDAL: known formats, stated limits, nothing from elsewhere.
 
-A VRT names other files and may hold code; it may name images in its own folder and nothing else.
+A VRT names other files and may hold code. It may name only images in its own folder.
 """
-
-from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
@@ -16,10 +14,10 @@ from skyproof.errors import ImageryError
 from skyproof.pictures import LARGEST_PX
 
 RASTER_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".jp2", ".vrt")
-"""How names of images end, where images are looked for in folders or beside labels."""
+"""Endings of the images that are searched in folders or beside labels."""
 
 LARGEST_RASTER_PX = 10**11
-"""Some 316,000 x 316,000: rasters are read window by window, so this is about time, not memory."""
+"""About 316,000 x 316,000. Rasters are read window by window: this limits time, not memory."""
 
 _BEGINNINGS = {
     b"II*\0": "GTiff",
@@ -31,22 +29,21 @@ _BEGINNINGS = {
     b"\0\0\0\x0cjP  ": "JP2OpenJPEG",
     b"\xff\x4f\xff\x51": "JP2OpenJPEG",
 }
-"""How files of the known formats begin; GDAL alone would try hundreds of readers."""
+"""First bytes of the known formats. GDAL alone would try hundreds of readers."""
 
 _LARGEST_VRT_BYTES = 64 * 2**20
 _DEEPEST_VRT = 4
-# Elements or attributes that name a file, and those that hold code; GDAL ignores their case.
+# Elements or attributes that name a file, or that hold code; GDAL ignores their case.
 _REFERENCES = {"sourcefilename", "sourcedataset"}
 _CODE = {"pixelfunctioncode", "pixelfunctionlanguage"}
 
 
 def open_raster(path: Path) -> DatasetReader:
-    """Opens a GeoTIFF, JPEG, PNG, JPEG 2000 or VRT; what its name does not say is not tried.
+    """Opens a GeoTIFF, JPEG, PNG, JPEG 2000 or VRT.
 
     Raises:
-        ImageryError: it is larger than `LARGEST_RASTER_PX`, or a part of it that has to be decoded
-            at once is larger than `LARGEST_PX`; a VRT holds code or names a file outside its
-            folder.
+        ImageryError: it has more than `LARGEST_RASTER_PX` pixels, or blocks of more than
+            `LARGEST_PX`; a VRT holds code or names a file outside its folder.
         RasterioError: it cannot be read.
     """
     path = Path(path)
@@ -67,7 +64,7 @@ def _driver(path: Path) -> str:
 
 
 def _limited(dataset: DatasetReader, path: Path) -> DatasetReader:
-    """Closes and refuses what is too large, or keeps overviews elsewhere."""
+    """Closes and refuses a raster that is too large, or keeps overviews elsewhere."""
     try:
         if dataset.width * dataset.height > LARGEST_RASTER_PX:
             raise ImageryError(
@@ -95,8 +92,8 @@ def _limited(dataset: DatasetReader, path: Path) -> DatasetReader:
 def _check_vrt(path: Path, folder: Path, *, depth: int) -> None:
     """Refuses a VRT that holds code, or names anything but images inside a folder."""
     for element in _elements(path):
-        own = {element.tag: element.text or "", **element.attrib}
-        named = {name.rpartition("}")[2].lower(): text.strip() for name, text in own.items()}
+        texts = {element.tag: element.text or "", **element.attrib}
+        named = {name.rpartition("}")[2].lower(): text.strip() for name, text in texts.items()}
         if _CODE & named.keys():
             raise ImageryError(
                 f"{path} holds code that computes its pixels, which is not run; convert it to "
@@ -105,7 +102,7 @@ def _check_vrt(path: Path, folder: Path, *, depth: int) -> None:
         relative = element.get("relativeToVRT", "0").strip()
         for name in sorted(_REFERENCES & named.keys()):
             reference = named[name]
-            # GDAL looks from the folder of the VRT where it is told so, else from where we are.
+            # GDAL starts from the folder of the VRT if it says so, else from the working folder.
             base = path.resolve().parent if relative == "1" else Path.cwd()
             source = (base / reference).resolve()
             if not source.is_relative_to(folder):
@@ -126,7 +123,7 @@ def _check_vrt(path: Path, folder: Path, *, depth: int) -> None:
 
 
 def _elements(path: Path) -> list[ElementTree.Element]:
-    """Parses a VRT; what a parser could take differently than GDAL is refused."""
+    """Parses a VRT, and refuses text that GDAL could parse differently."""
     if path.stat().st_size > _LARGEST_VRT_BYTES:
         raise ImageryError(f"{path} is too long for a VRT; name its images directly.")
     try:

@@ -1,9 +1,4 @@
-"""How imagery is read, cut, labelled and cleared.
-
-Imports no torch, so that the command line answers at once.
-"""
-
-from __future__ import annotations
+"""Settings for reading, cutting, labelling and clearing imagery. Imports no torch."""
 
 import math
 from dataclasses import dataclass
@@ -19,7 +14,7 @@ from skyproof.ranges import Fraction, GroundResolution, check_ranges
 from skyproof.scenes.splits import SPLITS, Split
 
 _ROOM_PX = 112
-"""By which procedural tiles are larger than the windows cut from them."""
+"""Difference between the sides of procedural tiles and of the windows cut from them."""
 
 _TileSide = Annotated[int, Meta(ge=1, le=8192)]
 _Score = Annotated[float, Meta(gt=0, le=1)]
@@ -61,8 +56,7 @@ class TilingSettings:
     @property
     def split_shares(self) -> dict[Split, float]:
         """The share of each split that gets tiles."""
-        named = zip(SPLITS, self.shares, strict=True)
-        return {split: share for split, share in named if share}
+        return {split: share for split, share in zip(SPLITS, self.shares, strict=True) if share}
 
 
 @dataclass(frozen=True)
@@ -93,7 +87,7 @@ class SourceSettings:
                 "the zone, such as +02:00 or Z."
             )
         if self.crs is not None:
-            # Loaded only where a system is named: it takes a second.
+            # Loaded only for a named system: it takes a second.
             from rasterio.crs import CRS
             from rasterio.errors import RasterioError
 
@@ -152,12 +146,9 @@ class ClearSettings:
 
 
 def tiling_for_images(image_px: int, *, gsd_m: float, imagery: bool) -> TilingSettings:
-    """Returns tiles from which square images of `image_px` can be cut at any heading.
+    """Returns settings of tiles from which square images of `image_px` can be cut at any heading.
 
-    Args:
-        image_px: side of the images in pixels.
-        gsd_m: metres per pixel of tiles and images.
-        imagery: whether the ground is imagery, whose tiles may shrink to what one image needs.
+    Tiles of `imagery` may shrink to the window of one image.
     """
     window_px = math.ceil(image_px * math.sqrt(2)) + 2
     if imagery:

@@ -1,11 +1,9 @@
-"""Measures how sharp and noisy photographs are, on their own edges and plain places.
+"""Measures blur and noise of photographs, on their own edges and plain places.
 
 The paper blurs by one value for all imagery (section S2.1).
 """
 
-from __future__ import annotations
-
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import numpy as np
 from jaxtyping import UInt8
@@ -13,11 +11,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from torch import Tensor
 
+from skyproof.datasets.pictures import Pixels
 from skyproof.errors import ImageryError
 from skyproof.geometry.colour import srgb_to_linear
-from skyproof.imagery.exposure import some_of
-from skyproof.scenes.background_index import BackgroundTile
-from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.sensor import Sensor
 
 EDGES_PER_IMAGE = 400
@@ -27,41 +23,21 @@ LEAST_STEP = 0.08
 SHARPEST_SHARE = 0.25
 REACH_PX = 12
 LARGEST_PX = 768
-"""Of an image no more than its middle is looked at: memory must not grow with it."""
+"""Only the middle of an image is measured, so that memory does not grow with it."""
 STEP_PX = 0.25
 
 
-def sensor_of_tiles(backgrounds: BackgroundSet, tiles: Sequence[BackgroundTile]) -> Sensor:
-    """Measures blur and noise of a background set, on some of its tiles (`measure_sensor`).
+def measure_sensor(images: Iterable[Pixels]) -> Sensor:
+    """Measures blur and noise of photographs at the resolution of the vehicles, to draw them alike.
 
-    Args:
-        tiles: all its tiles, of whatever split, in the order of its index.
-
-    Raises:
-        ImageryError: too few edges to tell.
-        StoredFileError: a tile's picture is missing or damaged.
-    """
-    return measure_sensor(backgrounds.pixels(tile.id) for tile in some_of(tiles))
-
-
-def measure_sensor(images: Iterable[UInt8[Tensor, "3 H W"]]) -> Sensor:
-    """Measures blur and noise of photographs, for vehicles to be drawn alike.
-
-    Blur: across each of the strongest edges light is read along the gradient; a step seen through a
+    Blur: light is read along the gradient across each of the strongest edges. A step behind a
     Gaussian blur rises at most by step / (σ √(2π)) per pixel. Edges in the world may be soft, but
-    none is sharper than the sensor: the lower quartile over all edges is taken. On drawn rectangles
-    (tests) it is within 12 % for σ of 0.6 to 1.3 px, and up to a quarter too small beyond; σ below
-    0.45 px cannot be told from the pixel itself. Sharpened photographs give the σ that looks as
-    sharp.
+    none is sharper than the sensor, so the lower quartile over all edges is taken. On drawn
+    rectangles (tests) it is within 12 % for σ of 0.6 to 1.3 px, and up to a quarter too small
+    beyond. σ below 0.45 px cannot be distinguished from the pixel itself.
 
-    Noise: in each cell of 8 x 8 pixels, the spread of what a 3 x 3 median leaves over; the plainest
+    Noise: the spread of the difference from a 3 x 3 median, in cells of 8 x 8 pixels. The plainest
     tenth of the cells counts, so that texture is not taken for noise.
-
-    Args:
-        images: tiles at the resolution that vehicles will be drawn at.
-
-    Raises:
-        ImageryError: too few edges to tell.
     """
     sigmas: list[NDArray[np.float64]] = []
     spreads: list[float] = []
@@ -82,7 +58,7 @@ def measure_sensor(images: Iterable[UInt8[Tensor, "3 H W"]]) -> Sensor:
     )
 
 
-def _middle(image: UInt8[Tensor, "3 H W"]) -> UInt8[Tensor, "3 h w"]:
+def _middle(image: Pixels) -> UInt8[Tensor, "3 h w"]:
     top, left = (max(0, (side - LARGEST_PX) // 2) for side in image.shape[1:])
     return image[:, top : top + LARGEST_PX, left : left + LARGEST_PX]
 
@@ -100,29 +76,20 @@ def _edge_blurs(grey: NDArray[np.float64]) -> NDArray[np.float64]:
     )
     order = np.argsort(-strength[rows, columns], kind="stable")[:EDGES_PER_IMAGE]
     rows, columns = rows[order], columns[order]
-    # The brightness along a line across each edge.
+    # Brightness along three lines across each edge, so that no corner or speck counts as an edge.
     x = across_x[rows, columns] / strength[rows, columns]
     y = across_y[rows, columns] / strength[rows, columns]
     offsets = np.arange(-REACH_PX, REACH_PX + STEP_PX / 2, STEP_PX)
-    # Three lines side by side, so that a corner or a speck is not taken for an edge.
-    lines = [
-        ndimage.map_coordinates(
-            grey,
-            [
-                rows[:, None] + offsets * y[:, None] + side * x[:, None],
-                columns[:, None] + offsets * x[:, None] - side * y[:, None],
-            ],
-            order=3,
-        )
-        for side in (-1.0, 0.0, 1.0)
-    ]
-    profile = np.mean(lines, axis=0)
+    side = np.array([-1.0, 0.0, 1.0])[:, None, None]
+    down = rows[:, None] + offsets * y[:, None] + side * x[:, None]
+    right = columns[:, None] + offsets * x[:, None] - side * y[:, None]
+    profile = ndimage.map_coordinates(grey, [down, right], order=3).mean(0)
     # The blur from height and steepness of the step, with a window that follows it.
     steepest = (np.diff(profile, axis=1) / STEP_PX).max(1)
     middle = profile.shape[1] // 2
     sigma = np.full(len(profile), 1.0)
     for _ in range(4):
-        # As far as the edge reaches, and no farther: beyond lies something else.
+        # The window ends with the edge, because something else lies beyond.
         width = np.clip(np.round(3 * sigma / STEP_PX), 6, middle).astype(int)
         step = np.array(
             [

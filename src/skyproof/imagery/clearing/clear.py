@@ -3,35 +3,34 @@
 A tile that cannot be cleared is left out (section 5.2).
 """
 
-from __future__ import annotations
-
 from collections import Counter, defaultdict
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import torch
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float
 from torch import Tensor
 
-from skyproof.errors import ConfigurationError, ImageryError
+from skyproof.datasets.annotations import ANNOTATIONS, drop_images
+from skyproof.datasets.pictures import Boxes, Pixels
+from skyproof.documents import read_document
+from skyproof.errors import ConfigurationError, ImageryError, StoredFileError
 from skyproof.files import write_json
+from skyproof.imagery.clearing.cast_shadows import lights_record, shaded_tiles
 from skyproof.imagery.clearing.exemplar import fill_ground
 from skyproof.imagery.clearing.labelled import TileLabels, read_labels_of_tiles, removed_vehicles
-from skyproof.imagery.clearing.shaded import lights_record, shaded_tiles
 from skyproof.imagery.clearing.sheet import ContactSheet, SheetRow
 from skyproof.imagery.clearing.sunlight import measured_lights, picture_of
-from skyproof.imagery.clearing.vehicle_finder import (
-    VehicleFinder,
-    check_resolution,
-    grown_to_what_is_seen,
-    other_vehicles,
-)
 from skyproof.imagery.clearing.vehicle_masks import (
     Shadow,
+    VehicleFinder,
+    check_resolution,
     darkness_profiles,
     estimate_shadow,
+    grown_to_what_is_seen,
+    other_vehicles,
     vehicle_mask,
 )
 from skyproof.imagery.drivable import drivable_directions
@@ -43,21 +42,19 @@ from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.places import RemovedVehicle
 from skyproof.scenes.splits import SPLITS
 
-Fill = Callable[[UInt8[Tensor, "3 H W"], Bool[Tensor, "H W"]], UInt8[Tensor, "3 H W"]]
+Fill = Callable[[Pixels, Bool[Tensor, "H W"]], Pixels]
 
 
 @dataclass
 class Cleared:
-    """What became of one tile; one row of the record.
+    """The result for one tile, and its row in the record.
 
     Attributes:
-        labelled: vehicles removed because of a label, ignore regions included.
-        detected: vehicles removed because only the detector found them, repairs included.
-        places: vehicles whose place is kept: those that are labelled or surely detected.
-        masked_share: share of pixels that were filled, after the last round.
-        rounds: repairs after the first filling.
-        remaining: what the check found in the end; None without a check.
-        left_out: why the tile is not in the result, or None.
+        labelled: number of labelled objects removed, ignore regions included.
+        detected: number of vehicles removed that only the detector found, repairs included.
+        places: number of vehicles whose place is kept: labelled or surely detected ones.
+        remaining: number of vehicles that the checking detector still found; None without one.
+        left_out: reason why the tile is not in the result, or None.
     """
 
     id: str
@@ -71,21 +68,32 @@ class Cleared:
     left_out: str | None = None
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Found:
-    """What is removed from a tile; of these, `sure` boxes are vehicles beyond doubt."""
+    """The boxes to remove from a tile; the `sure` ones are vehicles beyond doubt."""
 
-    labelled: Float[Tensor, "n 4"]
-    detected: Float[Tensor, "m 4"]
-    sure: Float[Tensor, "s 4"]
+    labelled: Boxes
+    detected: Boxes
+    sure: Boxes
     removed: tuple[RemovedVehicle, ...]
-    profiles: Float[Tensor, "k directions layers"] = field(
-        default_factory=lambda: torch.zeros(0, 1, 1)
-    )
+    profiles: Float[Tensor, "k directions layers"] | None
 
     @property
-    def boxes(self) -> Tensor:
+    def boxes(self) -> Boxes:
         return torch.cat([self.labelled, self.detected])
+
+
+@dataclass(frozen=True)
+class _Clearing:
+    """The inputs of one clearing."""
+
+    backgrounds: BackgroundSet
+    out: Path
+    labels: Mapping[str, TileLabels] | None
+    settings: ClearSettings
+    fill: Fill
+    finder: VehicleFinder | None
+    checker: VehicleFinder | None
 
 
 def clear_backgrounds(
@@ -101,32 +109,32 @@ def clear_backgrounds(
     """Writes a tiled folder of the same tiles without their vehicles.
 
     The places and headings of the vehicles are stored with every tile, and the map of drivable
-    ground is made anew. Shadows of the vehicles, of trees and of buildings tell the sun and the sky
-    of each source, which are stored as well.
+    ground is made anew. The sun and sky of each source are estimated from the shadows of vehicles,
+    trees and buildings, and stored as well.
 
-    Removed are labelled vehicles, ignored objects, and the detections of `finder`. Without a
+    Labelled vehicles, ignored objects, and the detections of `finder` are removed. Without a
     finder, unlabelled regions are filled as a whole. Tiles on which `checker` still finds a vehicle
     are repaired, and left out if that does not help. A contact sheet shows every tile that was
     changed or left out.
 
     Args:
         folder: a tiled folder, with or without `<split>/annotations.json`.
-        out: gets the tiles, their maps of drivable ground and of shadows, `index.json`,
+        out: folder for the tiles, their maps of drivable ground and of shadows, `index.json`,
             `index.geojson`, `clearing.json` and `sheets/`; use `finished_folder` around it.
         fill: fills a mask of a tile and leaves every byte outside it as it was.
         finder: finds vehicles that are not labelled.
-        checker: looks at the result, at its own threshold.
+        checker: inspects the result at its own threshold.
         progress: called with ("find" or "clear", tiles done, tiles in all).
 
     Returns:
         The record, as written to `clearing.json`.
 
     Raises:
-        ConfigurationError: neither labels nor a finder, or a detector of another resolution.
+        ConfigurationError: there are neither labels nor a finder, or a detector has another
+            resolution.
         ImageryError: no tile is left.
         StoredFileError: the folder is not a tiled folder.
     """
-    settings = settings or ClearSettings()
     backgrounds = BackgroundSet.open(folder)
     tiles = backgrounds.all_tiles()
     labels = read_labels_of_tiles(folder)
@@ -137,101 +145,67 @@ def clear_backgrounds(
         )
     for used in (finder, checker):
         check_resolution(used, backgrounds.gsd_m)
-    # Vehicles of all tiles first: a shadow is estimated from all tiles of one picture.
+    clearing = _Clearing(
+        backgrounds, out, labels, settings or ClearSettings(), fill, finder, checker
+    )
+    # Vehicles of all tiles come first: a shadow is estimated from all tiles of one picture.
     found = {}
     for done, tile in enumerate(tiles, start=1):
-        of_tile = (labels or {}).get(tile.id, TileLabels())
-        found[tile.id] = _find(backgrounds, tile, of_tile, finder, settings)
+        found[tile.id] = _find(clearing, tile)
         if progress is not None:
             progress("find", done, len(tiles))
     shadows = _shadows(tiles, found)
-    lights = measured_lights(backgrounds, tiles, {name: own.removed for name, own in found.items()})
-    # Each tile is filled, checked and written.
+    lights = measured_lights(backgrounds, tiles, {name: one.removed for name, one in found.items()})
     rows, kept = [], []
     with ContactSheet(out / "sheets") as sheet:
         for done, tile in enumerate(tiles, start=1):
-            row, sheet_row = _clear_tile(
-                backgrounds,
-                tile,
-                found[tile.id],
-                shadows[picture_of(tile)],
-                fill,
-                settings,
-                checker,
-                out,
-            )
+            shadow = shadows[picture_of(tile)]
+            row = _clear_tile(clearing, tile, found[tile.id], shadow, sheet)
             rows.append(row)
             if row.left_out is None:
                 lit = replace(tile, light=lights[tile.id])
-                own = found[tile.id]
-                kept.append(_with_places(out, lit, own, backgrounds, labelled=labels is not None))
-            if sheet_row is not None:
-                sheet.add(sheet_row)
+                kept.append(_with_places(clearing, lit, found[tile.id]))
             if progress is not None:
                 progress("clear", done, len(tiles))
-    record = _record(rows, shadows, settings, finder, checker, labels is not None)
+    record = _record(clearing, rows, shadows)
     if not kept:
         reasons = ", ".join(f"{count} {why}" for why, count in record["totals"]["left_out"].items())
         raise ImageryError(
             f"No tile of {folder} could be cleared ({reasons}); give a better detector, or allow a "
             "larger ClearSettings.largest_masked_share."
         )
-    kept = shaded_tiles(
-        BackgroundSet(out, backgrounds.gsd_m, kept, backgrounds.sensor, backgrounds.light)
-    )
+    gsd_m, sensor, light = backgrounds.gsd_m, backgrounds.sensor, backgrounds.light
+    kept = shaded_tiles(BackgroundSet(out, gsd_m, kept, sensor, light))
     record |= lights_record(tiles, lights, kept)
     write_json(out / CLEARING_RECORD, record)
     copy_ground_index(folder, out, {tile.id for tile in kept})
-    write_index(out, backgrounds.gsd_m, kept, backgrounds.sensor, backgrounds.light)
+    write_index(out, gsd_m, kept, sensor, light)
     return record
 
 
-def _find(
-    backgrounds: BackgroundSet,
-    tile: BackgroundTile,
-    labels: TileLabels,
-    finder: VehicleFinder | None,
-    settings: ClearSettings,
-) -> _Found:
-    labelled = labels.boxes
-    image = backgrounds.pixels(tile.id)
-    detected, sure = torch.zeros(0, 4), torch.zeros(0, 4)
+def _find(clearing: _Clearing, tile: BackgroundTile) -> _Found:
+    labels = (clearing.labels or {}).get(tile.id, TileLabels())
+    gsd_m, finder = clearing.backgrounds.gsd_m, clearing.finder
+    image = clearing.backgrounds.pixels(tile.id)
+    labelled, detected, sure = labels.boxes, torch.zeros(0, 4), torch.zeros(0, 4)
     if finder is None:
-        # Unlabelled regions may hold vehicles that no detector looks for: they are filled whole.
+        # Without a detector, unlabelled regions may hold vehicles: they are filled whole.
         labelled = torch.cat([labelled, labels.unlabelled_boxes])
     else:
         threshold = finder.detector.threshold
-        lowest_score = threshold if settings.finding_score is None else settings.finding_score
-        everything = finder.detections(image, lowest_score)
-        detections = other_vehicles(everything, labelled)
-        labelled = grown_to_what_is_seen(labelled, everything)
-        detected = detections.boxes
-        # Below the threshold, many detections that are removed to be safe are no vehicles.
-        sure = detected[detections.scores >= threshold]
-    removed = removed_vehicles(image, labels, sure, backgrounds.gsd_m)
-    found = _Found(labelled, detected, torch.cat([labels.vehicle_boxes, sure]), removed)
-    if len(found.boxes):
-        found.profiles = darkness_profiles(image, found.boxes, gsd_m=backgrounds.gsd_m)
-    return found
-
-
-def _with_places(
-    out: Path, tile: BackgroundTile, found: _Found, backgrounds: BackgroundSet, *, labelled: bool
-) -> BackgroundTile:
-    """Adds to a cleared tile where vehicles stood, and looks anew where they may stand."""
-    gsd_m = backgrounds.gsd_m
-    cleared = BackgroundSet(out, gsd_m, [tile]).pixels(tile.id)
-    shade = backgrounds.shade(tile.id)
-    cover = backgrounds.cover(tile.id)
-    # On an unlabelled tile, the absence of finds does not mean that no vehicle may stand there.
-    stood = found.sure if labelled or len(found.sure) else None
-    directions = drivable_directions(cleared, gsd_m, stood, cover)
-    return replace(
-        tile,
-        removed=(*tile.removed, *found.removed),
-        drivable=save_map(out, "drivable", tile.id, directions),
-        shade=None if shade is None else save_map(out, "shade", tile.id, shade.numpy()),
-        cover=None if cover is None else save_map(out, "cover", tile.id, cover.numpy()),
+        detections = finder.detections(image, clearing.settings.finding_score or threshold)
+        others = other_vehicles(detections, labelled)
+        labelled = grown_to_what_is_seen(labelled, detections)
+        detected = others.boxes
+        # Many detections below the threshold are no vehicles, and are removed to be safe.
+        sure = detected[others.scores >= threshold]
+    boxes = torch.cat([labelled, detected])
+    return _Found(
+        labelled,
+        detected,
+        torch.cat([labels.vehicle_boxes, sure]),
+        removed_vehicles(image, labels, sure, gsd_m),
+        darkness_profiles(image, boxes, gsd_m=gsd_m) if len(boxes) else None,
     )
 
 
@@ -241,42 +215,33 @@ def _shadows(
     profiles: dict[str, list[Tensor]] = defaultdict(list)
     for tile in tiles:
         profile = found[tile.id].profiles
-        profiles[picture_of(tile)] += [profile] if len(profile) else []
-    return {
-        light: estimate_shadow(profiles_of_light)
-        for light, profiles_of_light in ((picture_of(t), profiles[picture_of(t)]) for t in tiles)
-    }
+        profiles[picture_of(tile)] += [] if profile is None else [profile]
+    return {picture: estimate_shadow(measured) for picture, measured in profiles.items()}
 
 
 def _clear_tile(
-    backgrounds: BackgroundSet,
+    clearing: _Clearing,
     tile: BackgroundTile,
     found: _Found,
     shadow: Shadow | None,
-    fill: Fill,
-    settings: ClearSettings,
-    checker: VehicleFinder | None,
-    out: Path,
-) -> tuple[Cleared, SheetRow | None]:
-    """Fills one tile, checks it and stores it."""
+    sheet: ContactSheet,
+) -> Cleared:
+    """Fills one tile, checks it, stores it, and adds it to the sheet if it changed."""
+    settings, checker = clearing.settings, clearing.checker
     row = Cleared(tile.id, tile.split, len(found.labelled), len(found.detected), len(found.removed))
-    before = backgrounds.pixels(tile.id)
-    size = (tile.height_px, tile.width_px)
-    image = before
-    mask = torch.zeros(size, dtype=torch.bool)
-    boxes = found.boxes
-    remaining = torch.zeros(0, 4)
+    before = image = clearing.backgrounds.pixels(tile.id)
+    mask = torch.zeros(image.shape[1:], dtype=torch.bool)
+    boxes, remaining = found.boxes, torch.zeros(0, 4)
     while True:
-        tile_mask = vehicle_mask(
-            size, boxes, shadow, gsd_m=backgrounds.gsd_m, margin_m=settings.margin_m
-        )
-        mask |= tile_mask
+        gsd_m, margin_m = clearing.backgrounds.gsd_m, settings.margin_m
+        round_mask = vehicle_mask(mask.shape, boxes, shadow, gsd_m=gsd_m, margin_m=margin_m)
+        mask |= round_mask
         row.masked_share = round(float(mask.float().mean()), 4)
         if row.masked_share > settings.largest_masked_share:
             row.left_out = "too much to remove"
             break
-        if tile_mask.any():
-            image = fill(image, tile_mask)
+        if round_mask.any():
+            image = clearing.fill(image, round_mask)
         if checker is None:
             break
         remaining = checker.detections(image, checker.detector.threshold).boxes
@@ -289,12 +254,30 @@ def _clear_tile(
         row.rounds += 1
         row.detected += len(remaining)
         boxes = remaining
-    if row.left_out is None:
-        save_tile(out, tile, image)
-    if not mask.any() and row.left_out is None:
-        return row, None
     kept = row.left_out is None
-    return row, SheetRow(tile.id, _caption(row), kept, before, image, mask, remaining)
+    if kept:
+        save_tile(clearing.out, tile, image)
+    if mask.any() or not kept:
+        sheet.add(SheetRow(tile.id, _caption(row), kept, before, image, mask, remaining))
+    return row
+
+
+def _with_places(clearing: _Clearing, tile: BackgroundTile, found: _Found) -> BackgroundTile:
+    """Adds the places of its vehicles and a new map of drivable ground to a cleared tile."""
+    backgrounds, out = clearing.backgrounds, clearing.out
+    cleared = BackgroundSet(out, backgrounds.gsd_m, [tile]).pixels(tile.id)
+    shade = backgrounds.shade(tile.id)
+    cover = backgrounds.cover(tile.id)
+    # On an unlabelled tile, the absence of finds does not mean that no vehicle may stand there.
+    stood = found.sure if clearing.labels is not None or len(found.sure) else None
+    directions = drivable_directions(cleared, backgrounds.gsd_m, stood, cover)
+    return replace(
+        tile,
+        removed=(*tile.removed, *found.removed),
+        drivable=save_map(out, "drivable", tile.id, directions),
+        shade=None if shade is None else save_map(out, "shade", tile.id, shade.numpy()),
+        cover=None if cover is None else save_map(out, "cover", tile.id, cover.numpy()),
+    )
 
 
 def _caption(row: Cleared) -> str:
@@ -306,39 +289,28 @@ def _caption(row: Cleared) -> str:
 
 
 def _record(
-    rows: Sequence[Cleared],
-    shadows: Mapping[str, Shadow | None],
-    settings: ClearSettings,
-    finder: VehicleFinder | None,
-    checker: VehicleFinder | None,
-    labels: bool,
+    clearing: _Clearing, rows: Sequence[Cleared], shadows: Mapping[str, Shadow | None]
 ) -> dict[str, Any]:
-    left_out = Counter(row.left_out for row in rows if row.left_out)
+    finder, checker = clearing.finder, clearing.checker
     kept = [row for row in rows if row.left_out is None]
-    emptied = [
-        s for s in SPLITS if any(r.split == s for r in rows) and all(r.split != s for r in kept)
-    ]
-    checked_by = (
-        {"name": checker.name, "threshold": checker.detector.threshold}
-        if checker
-        else "not checked by a detector"
-    )
+    labels = [] if clearing.labels is None else ["labels"]
+    checked_by: Any = "not checked by a detector"
+    if checker is not None:
+        checked_by = {"name": checker.name, "threshold": checker.detector.threshold}
     return {
         "format_version": 1,
-        "settings": asdict(settings),
-        "vehicles_from": [*(["labels"] if labels else []), *([finder.name] if finder else [])],
+        "settings": asdict(clearing.settings),
+        "vehicles_from": [*labels, *([] if finder is None else [finder.name])],
         "checked_by": checked_by,
         "shadows": {
-            light: None
-            if shadow is None
-            else {**asdict(shadow), "direction": list(shadow.direction)}
-            for light, shadow in shadows.items()
+            picture: shadow and {**asdict(shadow), "direction": list(shadow.direction)}
+            for picture, shadow in shadows.items()
         },
         "totals": {
             "tiles": len(rows),
             "kept": len(kept),
-            "left_out": dict(left_out),
-            "splits_without_tiles": emptied,
+            "left_out": dict(Counter(row.left_out for row in rows if row.left_out)),
+            "splits_without_tiles": splits_left_empty(rows, kept),
             "labelled_removed": sum(row.labelled for row in kept),
             "places": sum(row.places for row in kept),
             "detected_removed": sum(row.detected for row in kept),
@@ -346,3 +318,47 @@ def _record(
         },
         "tiles": [asdict(row) for row in rows],
     }
+
+
+_REMEDY = "copy the whole folder again, or clear the imagery again"
+
+
+def reject_tiles(folder: Path, ids: Sequence[str]) -> list[str]:
+    """Removes tiles from the index and from the annotations of their splits; pictures stay.
+
+    Returns:
+        Splits that have no tile any more.
+
+    Raises:
+        ConfigurationError: an id is not in the index, or no tile would stay.
+        StoredFileError: the folder is not a background set, or an annotation file is damaged.
+    """
+    backgrounds = BackgroundSet.open(folder)
+    tiles = backgrounds.all_tiles()
+    unknown = sorted(set(ids) - {tile.id for tile in tiles})
+    if unknown:
+        raise ConfigurationError(f"{folder} has no tile {unknown[0]!r}; the ids are on the sheets.")
+    kept = [tile for tile in tiles if tile.id not in set(ids)]
+    if not kept:
+        raise ConfigurationError(
+            f"Every tile of {folder} would be rejected; clear the imagery again instead."
+        )
+    if (folder / CLEARING_RECORD).is_file():
+        path = folder / CLEARING_RECORD
+        record: dict[str, Any] = read_document(path, dict[str, Any], _REMEDY)
+        before = record.get("rejected", [])
+        if not isinstance(before, list) or not all(isinstance(name, str) for name in before):
+            raise StoredFileError(f"{path}, rejected: expected a list of tiles; {_REMEDY}.")
+        write_json(path, {**record, "rejected": sorted({*before, *ids})})
+    for split in SPLITS:
+        if (folder / split / ANNOTATIONS).is_file():
+            drop_images(folder / split, ids)
+    copy_ground_index(folder, folder, {tile.id for tile in kept})
+    write_index(folder, backgrounds.gsd_m, kept, backgrounds.sensor, backgrounds.light)
+    return splits_left_empty(tiles, kept)
+
+
+def splits_left_empty(before: Iterable[Any], after: Iterable[Any]) -> list[str]:
+    """Lists the splits that have tiles, or rows of tiles, before but not after."""
+    gone = {tile.split for tile in before} - {tile.split for tile in after}
+    return [split for split in SPLITS if split in gone]

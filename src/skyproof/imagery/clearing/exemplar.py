@@ -1,18 +1,19 @@
-"""Fills holes with ground from nearby: patches are shifted in and joined without a seam."""
+"""Fills holes with ground from nearby: patches are copied and joined without a seam."""
 
-from __future__ import annotations
-
+import itertools
 import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Bool, UInt8
+from jaxtyping import Bool
 from numpy.typing import NDArray
 from scipy import fft, ndimage, sparse
 from scipy.sparse.linalg import splu
 from torch import Tensor
+
+from skyproof.datasets.pictures import Pixels
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -20,62 +21,54 @@ Shift = tuple[int, int]
 
 # Lengths suit ground of 10 to 15 cm per pixel.
 _SEARCH_PX = 112
-"""How far away the copied ground may lie, in rows and in columns."""
+"""Largest distance of the copied ground, in rows and in columns."""
 _RING_PX = 7
-"""Width of the known ring around a hole that the copied ground's own ring must look like."""
+"""Width of the known ring around a hole, which the copied ground's ring must resemble."""
 _PIECE_PX = 72
 """Larger holes are filled piece by piece, each about this wide."""
 _SHIFTS = 4
-"""Most places that one piece is put together from; each serves the side of the hole it suits."""
+"""Most places of the ground copied into one piece; each fills the side that it suits."""
 _PLAINNESS = 0.3
 """Weight of the copied ground's contrast against the ring's mismatch: plain ground is preferred."""
 _HOLD = 0.02
-"""Weight of the copied ground's own values, levelled as a whole, against a joint without a step."""
+"""Weight of the copied ground's values, levelled as a whole, against a joint without a step."""
 _BRIGHTNESS_FREEDOM = 0.7
-"""How much of an even difference in brightness is no mismatch, because it is levelled."""
+"""Share of an even difference in brightness that is no mismatch, because it is levelled."""
 _SEEN_SHARE = 0.6
-"""How much of a shifted ring must lie on ground that may be compared."""
+"""Smallest share of a shifted ring on ground that may be compared."""
 
 
 @dataclass(frozen=True)
 class _Window:
-    """A part of the picture around one piece: `[H, W, 3]`, what is known, the hole to fill."""
+    """A part of the picture around one piece: `[H, W, 3]`, known pixels, the hole to fill."""
 
     values: Array
     known: Flags
     hole: Flags
 
 
-def fill_ground(image: UInt8[Tensor, "3 H W"], mask: Bool[Tensor, "H W"]) -> UInt8[Tensor, "3 H W"]:
-    """Fills the mask as `fill_by_exemplar` does; every byte outside it stays as it was."""
+def fill_ground(image: Pixels, mask: Bool[Tensor, "H W"]) -> Pixels:
+    """Fills the mask as `fill_by_exemplar` does; every byte outside it stays."""
     pixels = (image.float() / 255).permute(1, 2, 0).double().numpy()
     filled = torch.from_numpy(fill_by_exemplar(pixels, mask.numpy())).permute(2, 0, 1).float()
     return torch.where(mask, (filled.clamp(0, 1) * 255).round().to(torch.uint8), image)
 
 
 def fill_by_exemplar(image: Array, mask: Flags) -> Array:
-    """Fills `mask` with ground of the same picture.
+    """Returns `[H, W, 3]` with `mask` filled with ground of the same picture, unchanged elsewhere.
 
-    For every piece of a hole all shifts within a reach are compared (exactly, by Fourier
-    transform): the known ring around the piece against the same ring shifted. The best shifts each
-    serve the side they suit best, and a screened Poisson equation joins them to the ring, so that
-    texture and noise are the picture's own and no step is left. Where no place nearby is large
-    enough and free of vehicles, the colours of the hole's edge go on into it smoothly.
-
-    Args:
-        image: `[H, W, 3]`.
-        mask: `[H, W]` True where to fill.
-
-    Returns:
-        A new image; equal to `image` outside `mask`.
+    For every piece of a hole the known ring around it is compared with the same ring at all shifts
+    within a reach (exactly, by Fourier transform). Each of the best shifts fills the side that it
+    suits best, and a screened Poisson equation joins them to the ring, so that texture and noise
+    are the picture's own and no step is left. If no place nearby is large enough and free of
+    vehicles, the colours of the hole's edge go on into it smoothly.
     """
     filled = image.copy()
     unknown = mask.copy()
     smooth = None
-    # Small holes first: once filled they may serve the large ones' rings, but are never copied
-    # from.
-    pieces = sorted(_pieces(mask), key=lambda piece: int(piece.sum()))
-    for piece in pieces:
+    # Small holes come first: once filled, they belong to the large ones' rings, but are never
+    # copied.
+    for piece in sorted(_pieces(mask), key=lambda piece: int(piece.sum())):
         rows, columns = _reach(piece)
         window = _Window(filled[rows, columns], ~unknown[rows, columns], piece[rows, columns])
         result = _fill(window, ~mask[rows, columns])
@@ -89,7 +82,7 @@ def fill_by_exemplar(image: Array, mask: Flags) -> Array:
 
 
 def _smooth(image: Array, mask: Flags) -> Array:
-    """Fills the mask by Laplace's equation; where the edge says nothing, with the mean colour."""
+    """Fills the mask by Laplace's equation, or with the mean colour without a known edge."""
     even = np.broadcast_to(image[~mask].mean(axis=0), (1, *image.shape))
     return _join(_Window(image, ~mask, mask), even, np.zeros(mask.shape, np.int64), hold=1e-6)
 
@@ -103,19 +96,12 @@ def _pieces(mask: Flags) -> list[Flags]:
         height, width = rows.stop - rows.start, columns.stop - columns.start
         down = math.ceil(height / _PIECE_PX)
         across = math.ceil(width / _PIECE_PX)
-        for row in range(down):
-            for column in range(across):
+        edges_y = [rows.start + height * row // down for row in range(down + 1)]
+        edges_x = [columns.start + width * column // across for column in range(across + 1)]
+        for top, bottom in itertools.pairwise(edges_y):
+            for left, right in itertools.pairwise(edges_x):
                 part = np.zeros_like(mask)
-                place = (
-                    slice(
-                        rows.start + height * row // down, rows.start + height * (row + 1) // down
-                    ),
-                    slice(
-                        columns.start + width * column // across,
-                        columns.start + width * (column + 1) // across,
-                    ),
-                )
-                part[place] = piece[place]
+                part[top:bottom, left:right] = piece[top:bottom, left:right]
                 if part.any():
                     pieces.append(part)
     return pieces
@@ -125,13 +111,13 @@ def _reach(piece: Flags) -> tuple[slice, slice]:
     margin_px = _SEARCH_PX + _RING_PX + 1
     rows, columns = ndimage.find_objects(piece.astype(np.int8))[0]
     return (
-        slice(max(0, rows.start - margin_px), min(piece.shape[0], rows.stop + margin_px)),
-        slice(max(0, columns.start - margin_px), min(piece.shape[1], columns.stop + margin_px)),
+        slice(max(0, rows.start - margin_px), rows.stop + margin_px),
+        slice(max(0, columns.start - margin_px), columns.stop + margin_px),
     )
 
 
 def _fill(window: _Window, sound: Flags) -> Array | None:
-    """Fills the window's hole; None where no shift keeps the copy on sound ground."""
+    """Fills the window's hole; None if no shift copies sound ground alone."""
     near = ndimage.binary_dilation(window.hole, iterations=_RING_PX)
     ring = near & ~window.hole & window.known
     if not ring.any():
@@ -160,7 +146,7 @@ def _best_shifts(window: _Window, ring: Flags, sound: Flags) -> list[Shift]:
     ) -> NDArray[np.float32]:
         return fft.irfft2(np.conj(template) * field, size)
 
-    # Which shifts copy from sound ground alone, and how much of the ring they see.
+    # Shifts that copy from sound ground alone, and the visible part of the ring.
     ground = spectrum(sound)
     ring_spectrum = spectrum(ring)
     hole_spectrum = spectrum(window.hole)
@@ -170,7 +156,7 @@ def _best_shifts(window: _Window, ring: Flags, sound: Flags) -> list[Shift]:
         seen >= _SEEN_SHARE * ring.sum()
     )
     seen = np.maximum(seen, 1)
-    # How the shifted ring differs from ours, and how lively the copied ground is.
+    # The mismatch of the shifted ring, and the contrast of the copied ground.
     mismatch = np.zeros(size, np.float32)
     contrast = np.zeros(size, np.float32)
     for channel in np.moveaxis(window.values, 2, 0):
@@ -191,19 +177,18 @@ def _best_shifts(window: _Window, ring: Flags, sound: Flags) -> list[Shift]:
         mismatch += squared / seen - _BRIGHTNESS_FREEDOM * (even / seen) ** 2
         inside = correlate(hole_spectrum, field) / window.hole.sum()
         contrast += correlate(hole_spectrum, squares) / window.hole.sum() - inside**2
-    # What a shift costs; those that are not allowed cost infinitely much.
     cost = np.where(valid, np.maximum(mismatch, 0) + _PLAINNESS * np.maximum(contrast, 0), np.inf)
     down, across = np.meshgrid(_signed(size[0]), _signed(size[1]), indexing="ij")
     far = np.maximum(abs(down), abs(across)) > _SEARCH_PX
     cost[far] = np.inf
-    # The cheapest shifts, apart from each other.
+    # The cheapest shifts that are not neighbours.
     chosen: list[Shift] = []
     best = math.inf
     while len(chosen) < _SHIFTS:
         at = int(cost.argmin())
         lowest = float(cost.flat[at])
         best = min(best, lowest)
-        # A place much worse than the best one would only bring in strange ground.
+        # A place much worse than the best one shows other ground.
         if not math.isfinite(lowest) or lowest > 2 * best + 1e-4:
             break
         shift = int(down.flat[at]), int(across.flat[at])
@@ -213,7 +198,7 @@ def _best_shifts(window: _Window, ring: Flags, sound: Flags) -> list[Shift]:
 
 
 def _signed(size: int) -> NDArray[np.int64]:
-    """Shifts in the order of a Fourier transform."""
+    """Returns shifts in the order of a Fourier transform."""
     return np.fft.fftfreq(size, 1 / size).round().astype(np.int64)
 
 
@@ -234,25 +219,18 @@ def _serve_sides(
 
 
 def _shifted(values: NDArray[Any], shift: Shift) -> NDArray[Any]:
-    """Returns what lies `shift` away from each pixel.
-
-    It wraps, so that only places known to be inside may be read.
-    """
+    """Returns the values `shift` away from each pixel; it wraps beyond the edges."""
     return np.roll(values, (-shift[0], -shift[1]), axis=(0, 1))
 
 
 def _join(window: _Window, copies: Array, choice: NDArray[np.int64], hold: float) -> Array:
     """Solves a screened Poisson equation in the hole.
 
-    Wanted are the copies' differences between neighbours, the ring's values next to it and, with
-    weight `hold`, the copies themselves: what differs at one place of the ring does not bleed
-    through the hole.
-
-    Args:
-        copies: `[S, H, W, 3]` what each shift would copy, brought to the ring's brightness.
-        choice: `[H, W]` which of them is taken.
+    The result approaches the differences between neighbours in `copies` `[S, H, W, 3]`, of which
+    `choice` gives the number of each pixel, the ring and, with weight `hold`, the copies
+    themselves, so that a difference at one place of the ring does not spread through the hole.
     """
-    # The pixels of the hole are the unknowns, numbered.
+    # The numbered pixels of the hole are the unknowns.
     rows, columns = np.nonzero(window.hole)
     number = np.full(window.hole.shape, -1)
     number[rows, columns] = np.arange(len(rows))
@@ -260,32 +238,24 @@ def _join(window: _Window, copies: Array, choice: NDArray[np.int64], hold: float
     count = np.zeros(len(rows))
     right = np.zeros((len(rows), 3))
     links: list[tuple[NDArray[np.int64], NDArray[np.int64]]] = []
-    # Every pixel is to differ from its four neighbours as the copies do.
+    # Every pixel should differ from its four neighbours as the copies do.
     for down, across in ((0, 1), (1, 0), (0, -1), (-1, 0)):
-        to_row, to_column = rows + down, columns + across
-        inside = (
-            (to_row >= 0)
-            & (to_row < window.hole.shape[0])
-            & (to_column >= 0)
-            & (to_column < window.hole.shape[1])
-        )
-        to_row = to_row.clip(0, window.hole.shape[0] - 1)
-        to_column = to_column.clip(0, window.hole.shape[1] - 1)
+        to_row = (rows + down).clip(0, window.hole.shape[0] - 1)
+        to_column = (columns + across).clip(0, window.hole.shape[1] - 1)
+        inside = (to_row == rows + down) & (to_column == columns + across)
         in_hole, fixed = window.hole[to_row, to_column], window.known[to_row, to_column]
-        # Towards the picture's edge and towards pieces still to be filled nothing is asked.
+        # There is no condition at the picture's edge and at pieces still to be filled.
         asked = inside & (in_hole | fixed)
         shift_there = np.where(in_hole, choice[to_row, to_column], shift_here)
         step = copies[shift_here, rows, columns] - copies[shift_here, to_row, to_column]
-        step = (
-            step + copies[shift_there, rows, columns] - copies[shift_there, to_row, to_column]
-        ) / 2
+        step = step + copies[shift_there, rows, columns] - copies[shift_there, to_row, to_column]
+        step = step / 2
         count += asked
         right += np.where(asked[:, None], step, 0.0)
         on_ring = asked & ~in_hole
         right[on_ring] += window.values[to_row[on_ring], to_column[on_ring]]
         linked = np.nonzero(asked & in_hole)[0]
         links.append((linked, number[to_row[linked], to_column[linked]]))
-    # The equations as a sparse matrix, solved for all colours at once.
     start, end = (np.concatenate([link[side] for link in links]) for side in (0, 1))
     matrix = sparse.csc_array((-np.ones(len(start)), (start, end)), shape=(len(rows), len(rows)))
     matrix = matrix + sparse.diags_array(count + hold)

@@ -1,122 +1,82 @@
-"""The labels of tiles that are cleared: vehicles with what is known of them, and ignore regions."""
-
-from __future__ import annotations
+"""The labels of tiles to clear, and the headings of their vehicles."""
 
 import math
-from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-import torch
-from jaxtyping import Float, UInt8
-from torch import Tensor
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
 
-from skyproof.datasets.annotations import (
-    ANNOTATIONS,
-    AnnotationFile,
-    AnnotationRow,
-    read_annotations,
-)
-from skyproof.imagery.clearing.heading import estimate_stance
-from skyproof.ranges import Coordinate
+from skyproof.datasets.annotations import ANNOTATIONS, AnnotationRow, read_annotations
+from skyproof.datasets.dataset import boxes_of
+from skyproof.datasets.pictures import Boxes, Pixels
+from skyproof.imagery.labels.label import Point
 from skyproof.scenes.places import HeadingFrom, RemovedVehicle
 from skyproof.scenes.splits import SPLITS
 
-Point = tuple[float, float]
-Box = tuple[float, float, float, float]
-
 WHOLE = 0.98
-"""A box of which less lies on the tile says nothing of the vehicle's sides."""
+"""A vehicle with a smaller share on the tile has a box that does not show its sides."""
 LONGEST_M = 30.0
 """Corners farther apart are not a vehicle's."""
 
 
-class _Row(AnnotationRow, kw_only=True, frozen=True):
-    """An annotation with the vehicle's middle, and its corners on the ground where known.
-
-    An unlabelled region is no object: nobody looked for vehicles there.
-    """
-
-    centre_px: tuple[Coordinate, Coordinate] | None = None
-    corners_px: tuple[tuple[Coordinate, Coordinate], ...] | None = None
-    unlabelled: bool = False
-
-
-class _File(AnnotationFile, kw_only=True, frozen=True):
-    annotations: tuple[_Row, ...]
-
-
 @dataclass(frozen=True)
 class TileLabels:
-    """What is labelled on a tile.
+    """The labels of a tile: vehicles, objects that are not scored, and regions without labels."""
 
-    Attributes:
-        ignored: objects that are not scored, other vehicles among them.
-        unlabelled: regions where nobody looked for vehicles.
-    """
-
-    vehicles: tuple[_Row, ...] = ()
-    ignored: tuple[_Row, ...] = ()
-    unlabelled: tuple[_Row, ...] = ()
+    vehicles: tuple[AnnotationRow, ...] = ()
+    ignored: tuple[AnnotationRow, ...] = ()
+    unlabelled: tuple[AnnotationRow, ...] = ()
 
     @property
-    def boxes(self) -> Float[Tensor, "n 4"]:
+    def boxes(self) -> Boxes:
         """The boxes of all objects, vehicles first, pixel xyxy."""
-        return _boxes([*self.vehicles, *self.ignored])
+        return boxes_of([*self.vehicles, *self.ignored])
 
     @property
-    def unlabelled_boxes(self) -> Float[Tensor, "n 4"]:
-        """The regions where vehicles may stand that are not labelled, pixel xyxy."""
-        return _boxes(self.unlabelled)
+    def unlabelled_boxes(self) -> Boxes:
+        """The boxes of the regions that were not labelled, pixel xyxy."""
+        return boxes_of(self.unlabelled)
 
     @property
-    def vehicle_boxes(self) -> Float[Tensor, "n 4"]:
+    def vehicle_boxes(self) -> Boxes:
         """The boxes of the vehicles alone."""
-        return _boxes(self.vehicles)
+        return boxes_of(self.vehicles)
 
 
 def read_labels_of_tiles(folder: Path) -> dict[str, TileLabels] | None:
-    """Reads the labels of every tile id; None where the folder has no labels.
-
-    Raises:
-        StoredFileError: an annotation file is damaged.
-    """
+    """Reads the labels of every tile by id; None if the folder has none."""
     folders = [Path(folder) / split for split in SPLITS]
     labelled = [one for one in folders if (one / ANNOTATIONS).is_file()]
     if not labelled:
         return None
     labels: dict[str, TileLabels] = {}
     for one in labelled:
-        document, _ = read_annotations(one, _File)
-        rows: dict[int, list[_Row]] = defaultdict(list)
-        for row in document.annotations:
-            rows[row.image_id].append(row)
-        for image in document.images:
+        document, _ = read_annotations(one)
+        for image, rows in zip(document.images, document.rows_by_image, strict=True):
             labels[image.scene_id] = TileLabels(
-                tuple(row for row in rows[image.id] if not row.iscrowd),
-                tuple(row for row in rows[image.id] if row.iscrowd and not row.unlabelled),
-                tuple(row for row in rows[image.id] if row.unlabelled),
+                tuple(row for row in rows if not row.iscrowd),
+                tuple(row for row in rows if row.iscrowd and not row.unlabelled),
+                tuple(row for row in rows if row.unlabelled),
             )
     return labels
 
 
 def removed_vehicles(
-    image: UInt8[Tensor, "3 H W"], labels: TileLabels, detected: Float[Tensor, "n 4"], gsd_m: float
+    image: Pixels, labels: TileLabels, detected: Boxes, gsd_m: float
 ) -> tuple[RemovedVehicle, ...]:
-    """Says where and how the vehicles of a tile stand, before they are removed.
+    """Returns the places and headings of a tile's labelled and detected vehicles.
 
-    Headings come from oriented labels, else from the picture (`estimate_stance`); those of vehicles
-    that the tile's border cuts are not known. Ignore regions are no vehicles.
-
-    Args:
-        image: the tile, sRGB bytes.
-        detected: boxes of vehicles that nobody labelled, pixel xyxy.
+    Headings come from oriented labels, else from the picture (`estimate_stance`). They are unknown
+    if the tile's border cuts the vehicle. `detected` holds boxes, pixel xyxy.
     """
     places = [_labelled_vehicle(image, row, gsd_m) for row in labels.vehicles]
-    for left, top, right, bottom in detected.tolist():
-        middle = ((left + right) / 2, (top + bottom) / 2)
-        places.append(_pictured_vehicle(image, middle, (left, top, right, bottom), gsd_m))
+    for box in detected.tolist():
+        middle = ((box[0] + box[2]) / 2, (box[1] + box[3]) / 2)
+        places.append(_pictured_vehicle(image, middle, box, gsd_m))
     return tuple(
         place
         for place in places
@@ -124,16 +84,15 @@ def removed_vehicles(
     )
 
 
-def _labelled_vehicle(image: UInt8[Tensor, "3 H W"], row: _Row, gsd_m: float) -> RemovedVehicle:
+def _labelled_vehicle(image: Pixels, row: AnnotationRow, gsd_m: float) -> RemovedVehicle:
     left, top, width, height = row.bbox
     middle = row.centre_px or (left + width / 2, top + height / 2)
     if row.corners_px is not None and len(row.corners_px) == 4:
         front_left, front_right, rear_right, rear_left = row.corners_px
         front, rear = _between(front_left, front_right), _between(rear_left, rear_right)
+        left_side, right_side = _between(front_left, rear_left), _between(front_right, rear_right)
         length_m = gsd_m * math.dist(front, rear)
-        width_m = gsd_m * math.dist(
-            _between(front_left, rear_left), _between(front_right, rear_right)
-        )
+        width_m = gsd_m * math.dist(left_side, right_side)
         if 0 < width_m <= length_m <= LONGEST_M:
             heading_rad = math.atan2(rear[1] - front[1], front[0] - rear[0]) % math.pi
             stance = (heading_rad, length_m, width_m)
@@ -144,10 +103,10 @@ def _labelled_vehicle(image: UInt8[Tensor, "3 H W"], row: _Row, gsd_m: float) ->
 
 
 def _pictured_vehicle(
-    image: UInt8[Tensor, "3 H W"], middle: Point, box: Box | None, gsd_m: float
+    image: Pixels, middle: Point, box: Sequence[float] | None, gsd_m: float
 ) -> RemovedVehicle:
     stance = None
-    # What touches the border may go on beyond it.
+    # A vehicle at the border may go on beyond it.
     if box is not None and min(box[:2]) > 0 and box[2] < image.shape[2] and box[3] < image.shape[1]:
         stance = estimate_stance(image, box, gsd_m)
     return _removed(middle, None if stance is None else "picture", stance)
@@ -156,23 +115,133 @@ def _pictured_vehicle(
 def _removed(
     middle: Point, heading_from: HeadingFrom | None, stance: tuple[float, float, float] | None
 ) -> RemovedVehicle:
-    """Makes a record of a vehicle; a millimetre and a ten-thousandth of a radian are kept."""
+    """Makes a record of a vehicle, rounded to a millimetre and a ten-thousandth of a radian."""
     x_px, y_px = (round(value, 2) for value in middle)
-    heading_rad, length_m, width_m = (None,) * 3 if stance is None else stance
-    return RemovedVehicle(
-        x_px,
-        y_px,
-        None if heading_rad is None else round(heading_rad, 4),
-        heading_from,
-        None if length_m is None else round(length_m, 3),
-        None if width_m is None else round(width_m, 3),
-    )
+    if stance is None:
+        return RemovedVehicle(x_px, y_px, None, heading_from)
+    heading_rad, *sides_m = stance
+    length_m, width_m = (round(side_m, 3) for side_m in sides_m)
+    return RemovedVehicle(x_px, y_px, round(heading_rad, 4), heading_from, length_m, width_m)
 
 
 def _between(first: Point, second: Point) -> Point:
     return (first[0] + second[0]) / 2, (first[1] + second[1]) / 2
 
 
-def _boxes(rows: Sequence[_Row]) -> Float[Tensor, "n 4"]:
-    boxes = torch.tensor([row.bbox for row in rows], dtype=torch.float32).reshape(-1, 4)
-    return torch.cat([boxes[:, :2], boxes[:, :2] + boxes[:, 2:]], 1)
+_Grid = NDArray[np.floating[Any]]
+
+STEP_RAD = math.radians(2)
+LENGTH_M, LENGTH_SPREAD_M = 4.6, 0.6
+WIDTH_M, WIDTH_SPREAD_M = 1.83, 0.15
+BOX_SPREAD_M = 0.3
+"""Mean and standard deviation of vehicles' sides, and the standard deviation of boxes."""
+CORNER_M = 0.3
+"""Radius of a vehicle's corners: a turned one has a smaller box."""
+OUTLINE_WEIGHT = 12.0
+END_SHARE = 0.4
+"""Weights of the outline in the picture against the box, and of an end against a long side."""
+LARGEST_MISFIT = 12.5
+"""A box five standard deviations from any vehicle's holds something else."""
+
+
+def estimate_stance(
+    image: Pixels, box: Sequence[float], gsd_m: float
+) -> tuple[float, float, float] | None:
+    """Estimates a vehicle's heading and sides from an upright box around it, pixel xyxy.
+
+    It takes the heading, in steps of 2 degrees, whose rectangle fits best: the box around it must
+    have the given width and height (w = l |cos| + b |sin|, less rounded corners), its sides must be
+    a small vehicle's, and the picture must have edges along its outline. The box alone cannot
+    distinguish a heading from its mirror image, but the outline can. A square box, as for a point
+    label, does not show the heading: the outline decides alone.
+
+    On 300 rendered vehicles of the demo at 12.5 cm the median error is 1.1 degrees, and 1.0 % are
+    off by more than 20 (`tools/measure_headings.py` of commit 37a385d). With squares around points
+    it is 7.0 degrees and 17 %.
+
+    Returns:
+        Heading from x (right) towards up, modulo pi, in radians; length and width in metres. None
+        if the box fits no small vehicle.
+    """
+    left, top, right, bottom = box
+    width_m, height_m = (right - left) * gsd_m, (bottom - top) * gsd_m
+    headings = np.arange(0, math.pi, STEP_RAD)
+    lengths, widths, misfits = _sides(headings, width_m, height_m)
+    if misfits.min() > LARGEST_MISFIT:
+        return None
+    outline = _outline(image, box, gsd_m, headings, lengths, widths)
+    best = int((OUTLINE_WEIGHT * outline - misfits).argmax())
+    return float(headings[best]), float(lengths[best]), float(widths[best])
+
+
+def _sides(headings: _Grid, width_m: float, height_m: float) -> tuple[_Grid, _Grid, _Grid]:
+    """Returns the most likely length and width for each heading, and half their squared misfit."""
+    cosine, sine = np.abs(np.cos(headings)), np.abs(np.sin(headings))
+    saved_m = 2 * CORNER_M * (cosine + sine - 1)
+    square = abs(width_m - height_m) < 1e-3 * width_m
+    spread_m = 1e6 if square else BOX_SPREAD_M
+    wide, high = width_m + saved_m, height_m + saved_m
+    # The normal equations of two unknowns, solved by Cramer's rule.
+    trust = 1 / spread_m**2
+    of_length, of_width = 1 / LENGTH_SPREAD_M**2, 1 / WIDTH_SPREAD_M**2
+    a = trust + of_length
+    b = 2 * trust * cosine * sine
+    c = trust + of_width
+    p = trust * (cosine * wide + sine * high) + of_length * LENGTH_M
+    q = trust * (sine * wide + cosine * high) + of_width * WIDTH_M
+    lengths = (c * p - b * q) / (a * c - b * b)
+    widths = (a * q - b * p) / (a * c - b * b)
+    misfits = trust * (
+        (lengths * cosine + widths * sine - wide) ** 2
+        + (lengths * sine + widths * cosine - high) ** 2
+    )
+    misfits += of_length * (lengths - LENGTH_M) ** 2 + of_width * (widths - WIDTH_M) ** 2
+    return lengths, widths, misfits / 2
+
+
+def _outline(
+    image: Pixels,
+    box: Sequence[float],
+    gsd_m: float,
+    headings: _Grid,
+    lengths: _Grid,
+    widths: _Grid,
+) -> _Grid:
+    """Measures the change across each rectangle's outline, relative to the change in the box."""
+    left, top, right, bottom = box
+    margin_px = 1.2 / gsd_m
+    rows = slice(max(0, int(top - margin_px)), math.ceil(bottom + margin_px))
+    columns = slice(max(0, int(left - margin_px)), math.ceil(right + margin_px))
+    part = image[:, rows, columns].numpy().astype(np.float64) / 255
+    part = ndimage.gaussian_filter(part, (0, 0.7, 0.7))
+    down = ndimage.sobel(part, 1) / 8
+    across = ndimage.sobel(part, 2) / 8
+    xx, yy, xy = (across**2).sum(0), (down**2).sum(0), (across * down).sum(0)
+    within = (
+        slice(max(0, int(top) - rows.start), max(1, math.ceil(bottom) - rows.start)),
+        slice(max(0, int(left) - columns.start), max(1, math.ceil(right) - columns.start)),
+    )
+    usual = math.sqrt(float((xx + yy)[within].mean())) + 1e-6
+    # Points along the four sides, as shares of length and width.
+    steps = np.linspace(-0.42, 0.42, 25)
+    half = np.full_like(steps, 0.5)
+    sides = [(steps, half, False), (steps, -half, False), (half, steps, True), (-half, steps, True)]
+    total = np.zeros(len(headings))
+    for along, aside, is_end in sides:
+        u_px = lengths[:, None] * along / gsd_m
+        v_px = widths[:, None] * aside / gsd_m
+        cosine, sine = np.cos(headings)[:, None], np.sin(headings)[:, None]
+        x = (left + right) / 2 + cosine * u_px - sine * v_px
+        y = (top + bottom) / 2 - sine * u_px - cosine * v_px
+        # The normal, with y down: along the heading at an end, across it at a long side.
+        normal = (cosine, -sine) if is_end else (-sine, -cosine)
+        places = [y - 0.5 - rows.start, x - 0.5 - columns.start]
+        change_xx, change_yy, change_xy = (
+            ndimage.map_coordinates(product, places, order=1, mode="nearest")
+            for product in (xx, yy, xy)
+        )
+        change = normal[0] ** 2 * change_xx + normal[1] ** 2 * change_yy
+        change = change + 2 * normal[0] * normal[1] * change_xy
+        strength = np.sqrt(np.maximum(change, 0)).mean(1) / usual
+        total += (END_SHARE if is_end else 1.0) * strength
+    return total / (2 + 2 * END_SHARE)

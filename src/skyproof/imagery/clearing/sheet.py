@@ -1,18 +1,18 @@
-"""Draws a contact sheet for a person: every changed tile before and after, to be rejected."""
+"""Draws a contact sheet of every changed tile, before and after, to inspect and reject."""
 
 from __future__ import annotations
 
 import html
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool
 from PIL import Image, ImageDraw
 from torch import Tensor
 
+from skyproof.datasets.pictures import Boxes, Pixels
 from skyproof.files import write_beside, write_bytes
 
 LARGEST_SIDE_PX = 640
@@ -24,32 +24,25 @@ MASKED, REMAINING = (240, 228, 66), (255, 106, 0)
 
 @dataclass(frozen=True)
 class SheetRow:
-    """One tile of the sheet.
+    """One tile of the sheet, `[3, H, W]` before and after.
 
-    Attributes:
-        kept: whether it is among the cleared tiles, and could be rejected.
-        before, after: `[3, H, W]` bytes.
-        mask: `[H, W]` what was filled; outlined in the picture before.
-        remaining: `[n, 4]` what the check still finds; drawn in the picture after.
+    The mask is outlined before, the vehicles that remain are drawn after. A kept tile can be
+    rejected.
     """
 
     tile: str
     caption: str
     kept: bool
-    before: UInt8[Tensor, "3 H W"]
-    after: UInt8[Tensor, "3 H W"]
+    before: Pixels
+    after: Pixels
     mask: Bool[Tensor, "H W"]
-    remaining: Float[Tensor, "n 4"]
+    remaining: Boxes
 
 
 class ContactSheet:
-    """Writes a picture of every tile, and `index.html` when the block ends well.
+    """Writes a picture of every tile, and `index.html` if the block ends without an error.
 
-    On the page a click on a tile rejects it, and the command that drops all rejected ones is shown
-    to be copied. The page loads nothing from elsewhere.
-
-    Args:
-        folder: gets the files; it lies in the folder of the cleared tiles.
+    On the page a click on a tile rejects it, and the command that drops all rejected ones is shown.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -59,21 +52,14 @@ class ContactSheet:
     def __enter__(self) -> ContactSheet:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if error is None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None:
             page = _PAGE.read_text(encoding="utf-8")
-            write_bytes(
-                self.folder / "index.html",
-                page.replace("{figures}", "\n".join(self._figures)).encode(),
-            )
+            text = page.replace("{figures}", "\n".join(self._figures))
+            write_bytes(self.folder / "index.html", text.encode())
 
     def add(self, row: SheetRow) -> None:
-        """Takes a tile, and writes its picture at once."""
+        """Adds a tile, and writes its picture at once."""
         picture = f"{len(self._figures) + 1:05d}.png"
         with write_beside(self.folder / picture) as temporary:
             _draw_row(row).save(temporary, compress_level=3)

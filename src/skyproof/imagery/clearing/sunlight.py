@@ -1,21 +1,22 @@
-"""Measures sun and sky of a photograph from the shadows of the vehicles in it."""
+"""Estimates sun and sky of a photograph from the shadows of its vehicles."""
 
 from __future__ import annotations
 
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 from numpy.typing import NDArray
 from torch import Tensor
 
+from skyproof.datasets.pictures import Boxes, Pixels
 from skyproof.errors import ImageryError
 from skyproof.geometry.colour import srgb_to_linear
-from skyproof.imagery.clearing.shared_sun import FEWEST_TO_SHARE, shared_sun, turned
 from skyproof.imagery.clearing.vehicle_masks import (
     FAINTEST_SHADOW,
     FEWEST_VEHICLES,
@@ -28,79 +29,110 @@ from skyproof.imagery.clearing.vehicle_masks import (
     stack_profiles,
     window_around,
 )
-from skyproof.imagery.exposure import ground_pixels, measure_exposure, some_of
+from skyproof.imagery.exposure import exposure_of
 from skyproof.scenes.background_index import BackgroundTile
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.light import Light, SunEstimate, rounded_levels
 from skyproof.scenes.places import RemovedVehicle
 
+FEWEST_TO_SHARE = 3
+"""Fewest photographs that must agree before others take their light."""
+WITHIN_RAD = math.radians(20)
+KNOWN_FROM = "other photographs of the set"
+
 Array = NDArray[np.float64]
+_Vehicles = Mapping[str, Sequence[RemovedVehicle]]
+
+
+def shared_sun(suns: Sequence[SunEstimate]) -> SunEstimate | None:
+    """Returns the median of suns that agree, as those of a flight or of neighbouring sheets do.
+
+    Its standard deviations combine their errors and their differences. It is None with fewer than
+    3, or if an azimuth differs from the median by more than 20 degrees.
+    """
+    if len(suns) < FEWEST_TO_SHARE:
+        return None
+    azimuths_rad = np.array([sun.azimuth_rad for sun in suns])
+    elevations_rad = np.array([sun.elevation_rad for sun in suns])
+    # The median on a circle is the azimuth with the least sum of turns to the others.
+    turns_rad = turned(azimuths_rad[None] - azimuths_rad[:, None])
+    middle = int(np.abs(turns_rad).sum(1).argmin())
+    if np.abs(turns_rad[middle]).max() > WITHIN_RAD:
+        return None
+    elevation_rad = float(np.median(elevations_rad))
+    off_rad = elevations_rad - elevation_rad
+    return SunEstimate(
+        azimuth_rad=round(float(azimuths_rad[middle]) % (2 * math.pi), 4),
+        elevation_rad=round(elevation_rad, 4),
+        azimuth_sd_rad=_deviation([sun.azimuth_sd_rad for sun in suns], turns_rad[middle]),
+        elevation_sd_rad=_deviation([sun.elevation_sd_rad for sun in suns], off_rad),
+        known_from=KNOWN_FROM,
+    )
+
+
+def turned(angles_rad: Array) -> Array:
+    """Returns angles from -pi to pi."""
+    return (angles_rad + math.pi) % (2 * math.pi) - math.pi
+
+
+def _deviation(own_rad: Sequence[float], differences_rad: Array) -> float:
+    spread_rad = float(np.sqrt(np.mean(np.square(differences_rad))))
+    return round(math.hypot(float(np.median(own_rad)), spread_rad), 4)
+
 
 HEIGHT_M = 1.5
-"""Of the usual vehicle: the median of the catalogue's saloons, hatchbacks and estates."""
+"""Height of a vehicle: the median of the catalogue's saloons, hatchbacks and estates."""
 END_SHARE = 0.35
-# A shadow's length from where its darkness ends: fitted on rendered scenes with the sun at 15 to 70
-# degrees, within 2.2 degrees (standard deviation), a little more where headings are estimated.
+# Factor and addition that turn the end of the darkness into a shadow's length. They are fitted on
+# rendered scenes with the sun at 15 to 70 degrees, with an error of 2.2 degrees (standard
+# deviation), a little more with estimated headings.
 _STRETCH, _HIDDEN_M = 1.36, 0.12
 _ELEVATION_SD_RAD = math.radians(3)
 _RESAMPLES = 60
 _LARGEST_SD_RAD = math.radians(30)
 _LOWEST_RAD, _HIGHEST_RAD = math.radians(8), math.radians(80)
 
-# Around a vehicle's own outline even the shadow of a high sun is wider than half of this.
+# Even the shadow of a high sun is wider than half of this.
 _NEAR_M = 0.5
-# Shadows are read from here on outwards, so that no part of the vehicle is in them,
-_FROM_M = 0.12
-# up to this share of their length, so that no soft edge is.
-_TO_SHARE = 0.25
+# Shadows are read from this distance, beyond the vehicle, up to this share of their length, before
+# their soft edge.
+_FROM_M, _TO_SHARE = 0.12, 0.25
 _FEWEST_PIXELS = 6
-# So close, the vehicle also hides a third of the sky, in both renderers.
+# At this distance the vehicle also hides a third of the sky, in both renderers.
 _SKY_LEFT = 0.68
 _HIGHEST_FOR_SKY_RAD = math.radians(60)
 
 OVERCAST_SKY = (1.0, 1.0, 1.0)
-"""All of the light is the sky's where vehicles cast no shadow."""
+"""Without shadows of vehicles, all light is the sky's."""
 
 
 @dataclass(frozen=True)
 class Footprints:
-    """The ground that vehicles cover.
+    """The ground that vehicles cover: boxes with a heading of 0, pixel xyxy, and their headings."""
 
-    Attributes:
-        boxes: as they would be with a heading of 0, pixel xyxy.
-        headings_rad: by which each is turned about its middle, from x (right) towards up.
-    """
-
-    boxes: Float[Tensor, "n 4"]
+    boxes: Boxes
     headings_rad: tuple[float, ...]
 
     @classmethod
     def of(cls, vehicles: Sequence[RemovedVehicle], gsd_m: float) -> Footprints:
-        """Takes the vehicles whose heading and sides are known."""
+        """Takes the vehicles with known heading and sides."""
         boxes, headings_rad = [], []
         for one in vehicles:
             if one.heading_rad is None or one.length_m is None or one.width_m is None:
                 continue
-            along_px, across_px = one.length_m / gsd_m / 2, one.width_m / gsd_m / 2
-            boxes.append(
-                (
-                    one.x_px - along_px,
-                    one.y_px - across_px,
-                    one.x_px + along_px,
-                    one.y_px + across_px,
-                )
-            )
+            x, y = one.length_m / gsd_m / 2, one.width_m / gsd_m / 2
+            boxes.append((one.x_px - x, one.y_px - y, one.x_px + x, one.y_px + y))
             headings_rad.append(one.heading_rad)
         return cls(torch.tensor(boxes, dtype=torch.float32).reshape(-1, 4), tuple(headings_rad))
 
 
 def picture_of(tile: BackgroundTile) -> str:
-    """Names what tiles under the same sun share: their source image, or their id where drawn."""
+    """Names the picture of a tile's sun: its source image, or its id if it is drawn."""
     return tile.source if tile.kind is None else tile.id
 
 
 def by_picture(tiles: Iterable[BackgroundTile]) -> dict[str, list[BackgroundTile]]:
-    """Groups the tiles of imagery by the picture they were cut from; drawn ones are left out."""
+    """Groups the tiles of imagery by their picture; drawn tiles are skipped."""
     groups: dict[str, list[BackgroundTile]] = defaultdict(list)
     for tile in tiles:
         if tile.kind is None:
@@ -109,64 +141,52 @@ def by_picture(tiles: Iterable[BackgroundTile]) -> dict[str, list[BackgroundTile
 
 
 def measured_lights(
-    backgrounds: BackgroundSet,
-    tiles: Sequence[BackgroundTile],
-    vehicles: Mapping[str, Sequence[RemovedVehicle]],
+    backgrounds: BackgroundSet, tiles: Sequence[BackgroundTile], vehicles: _Vehicles
 ) -> dict[str, Light | None]:
-    """Measures each tile's light anew: sun and sky by its vehicles' shadows, white beside them.
+    """Measures each tile's light: sun and sky by vehicles' shadows, white and black by ground.
 
-    White and black are those of the ground without vehicles. What is known stays: the light of
-    drawn ground, and a sun of a date and time. Where vehicles cast no shadow, all light is the
-    sky's. Where theirs do not tell the sun, it is that of the set's other photographs, if these
-    agree (`shared_sun`); and the sky is overcast if at least three others are, and three for each
-    that has a sun: of a flight under clouds, vehicles that stand alike may feign one.
-
-    Args:
-        backgrounds: the set with the tiles, vehicles still on them.
-        vehicles: that stand on them, by tile; those without heading or sides are not used.
-
-    Returns:
-        The light of each tile, by its id; None for that of the set.
+    `vehicles` stand on the tiles, by their ids. The light of drawn ground, and a sun of a date and
+    time, stay. If vehicles cast no shadow, all light is the sky's. If their shadows do not show the
+    sun, it is that of the set's other photographs, provided that these agree (`shared_sun`). The
+    sky is overcast if at least three other photographs are, and three for each that has a sun,
+    because vehicles that stand alike may imitate a sun under clouds.
     """
     lights = {tile.id: tile.light for tile in tiles}
-    of_picture = by_picture(tiles)
-    of_its_own = {
-        picture: _light_by_vehicles(backgrounds, own, vehicles)
-        for picture, own in of_picture.items()
+    pictures = by_picture(tiles)
+    measured = {
+        name: _light_by_vehicles(backgrounds, of_picture, vehicles)
+        for name, of_picture in pictures.items()
     }
-    overcast = sum(light.sky == OVERCAST_SKY for light in of_its_own.values())
-    suns = [
-        light.sun
-        for light in of_its_own.values()
-        if light.sun is not None and light.sky != OVERCAST_SKY
-    ]
-    under_clouds = overcast >= FEWEST_TO_SHARE * max(1, len(suns))
+    sunny = [light for light in measured.values() if light.sky != OVERCAST_SKY]
+    suns = [light.sun for light in sunny if light.sun is not None]
+    under_clouds = len(measured) - len(sunny) >= FEWEST_TO_SHARE * max(1, len(suns))
     shared = shared_sun(suns)
-    for picture, light in of_its_own.items():
+    for name, light in measured.items():
         if light.sun is None and light.sky != OVERCAST_SKY:
             light = replace(light, sky=OVERCAST_SKY) if under_clouds else replace(light, sun=shared)
-        lights.update({tile.id: light for tile in of_picture[picture]})
+        lights.update({tile.id: light for tile in pictures[name]})
     return lights
 
 
 def _light_by_vehicles(
-    backgrounds: BackgroundSet,
-    tiles: Sequence[BackgroundTile],
-    vehicles: Mapping[str, Sequence[RemovedVehicle]],
+    backgrounds: BackgroundSet, tiles: Sequence[BackgroundTile], vehicles: _Vehicles
 ) -> Light:
-    """Returns the light of a picture as its ground and its vehicles tell it."""
-    known = _exposed(backgrounds, tiles, vehicles)
+    """Measures the light of a picture by its ground and its vehicles."""
     gsd_m = backgrounds.gsd_m
-    shown = [
-        (tile.id, footprints)
+    known = tiles[0].light or backgrounds.light
+    middles_px = {
+        tile.id: torch.tensor([(one.x_px, one.y_px) for one in vehicles[tile.id]]).reshape(-1, 2)
         for tile in tiles
-        if len((footprints := Footprints.of(vehicles[tile.id], gsd_m)).headings_rad)
-    ]
+    }
+    # A picture may be too plain, as it was when it was cut.
+    with suppress(ImageryError):
+        found = exposure_of(backgrounds, tiles, middles_px)
+        known = replace(known, white=found.white, black=found.black)
+    footprints = {tile.id: Footprints.of(vehicles[tile.id], gsd_m) for tile in tiles}
+    shown = {name: one for name, one in footprints.items() if one.headings_rad}
     profiles = [
-        darkness_profiles(
-            backgrounds.pixels(name), footprints.boxes, footprints.headings_rad, gsd_m=gsd_m
-        )
-        for name, footprints in shown
+        darkness_profiles(backgrounds.pixels(name), one.boxes, one.headings_rad, gsd_m=gsd_m)
+        for name, one in shown.items()
     ]
     if casts_no_shadow(profiles):
         return replace(known, sky=OVERCAST_SKY)
@@ -174,59 +194,28 @@ def _light_by_vehicles(
     if sun is None:
         return known
     ratios = (
-        shadow_light(backgrounds.pixels(name), footprints, sun, known, gsd_m=gsd_m)
-        for name, footprints in shown
+        shadow_light(backgrounds.pixels(name), one, sun, known, gsd_m=gsd_m)
+        for name, one in shown.items()
     )
     return with_sky(replace(known, sun=sun), ratios)
 
 
-def _exposed(
-    backgrounds: BackgroundSet,
-    tiles: Sequence[BackgroundTile],
-    vehicles: Mapping[str, Sequence[RemovedVehicle]],
-) -> Light:
-    """Returns the light of a picture: white and black as of the ground beside its vehicles."""
-    known = tiles[0].light or backgrounds.light
-    grounds = (
-        ground_pixels(
-            backgrounds.pixels(tile.id),
-            torch.tensor([(one.x_px, one.y_px) for one in vehicles[tile.id]]).reshape(-1, 2),
-            gsd_m=backgrounds.gsd_m,
-        )
-        for tile in some_of(tiles)
-    )
-    try:
-        found = measure_exposure(grounds)
-    except ImageryError:
-        # Too plain to tell; so was it when it was cut.
-        return known
-    return replace(known, white=found.white, black=found.black)
-
-
 def casts_no_shadow(profiles: Iterable[Float[Tensor, "_ directions layers"]]) -> bool:
-    """Says whether vehicles have no dark side, as under an overcast sky.
+    """Tells whether at least 3 vehicles have no dark side, as under an overcast sky.
 
-    It takes 3 vehicles, and a darkest side that differs from the one across by less than 5 % of the
-    ground's brightness. On rendered scenes that is 0.09 with the sun at 78 degrees, and 0.05 under
-    an overcast sky.
+    The side's darkness on rendered scenes is 0.09 with the sun at 78 degrees, and 0.05 overcast.
     """
     stacked = stack_profiles(profiles)
     return len(stacked) >= FEWEST_VEHICLES and _side(stacked)[2] < FAINTEST_SHADOW
 
 
 def estimate_sun(profiles: Iterable[Float[Tensor, "_ directions layers"]]) -> SunEstimate | None:
-    """Estimates where the sun stood from how dark the ground beside vehicles is.
+    """Estimates the place of the sun from the `darkness_profiles` of boxes with their headings.
 
-    The azimuth is opposite to the shadows' side, its standard deviation that of vehicles drawn
-    again. The elevation is that of a vehicle of 1.5 m whose shadow ends where the darkness, less
-    that of the side across, falls to 35 % of its largest value. It uses no date, place or north.
-
-    Args:
-        profiles: per tile what `darkness_profiles` gives of boxes with their headings.
-
-    Returns:
-        None with fewer than 3 vehicles, without clear shadows, or where their side is not clear
-        within 30 degrees.
+    The azimuth is opposite to the shadows' side, and its standard deviation comes from a bootstrap
+    over vehicles. The elevation follows from a vehicle of 1.5 m, whose shadow ends where the
+    darkness, less that of the side across, falls to 35 % of its largest value. It is None with
+    fewer than 3 vehicles, without clear shadows, or if the azimuth is uncertain by 30 degrees.
     """
     stacked = stack_profiles(profiles)
     if len(stacked) < FEWEST_VEHICLES:
@@ -235,12 +224,10 @@ def estimate_sun(profiles: Iterable[Float[Tensor, "_ directions layers"]]) -> Su
     length_m = _length_m(profile)
     if contrast < FAINTEST_SHADOW or length_m is None:
         return None
-    # How sure the azimuth is, by drawing the vehicles again.
     rng = np.random.default_rng(0)
-    again_rad = np.zeros(_RESAMPLES)
-    for index in range(_RESAMPLES):
-        again_rad[index], _, _ = _side(stacked[rng.integers(len(stacked), size=len(stacked))])
-    azimuth_sd_rad = float(np.sqrt(np.mean(np.square(turned(again_rad - azimuth_rad)))))
+    draws = (rng.integers(len(stacked), size=len(stacked)) for _ in range(_RESAMPLES))
+    errors_rad = turned(np.array([_side(stacked[draw])[0] for draw in draws]) - azimuth_rad)
+    azimuth_sd_rad = float(np.sqrt(np.mean(np.square(errors_rad))))
     if azimuth_sd_rad > _LARGEST_SD_RAD:
         return None
     elevation_rad = math.atan2(HEIGHT_M, length_m)
@@ -254,20 +241,13 @@ def estimate_sun(profiles: Iterable[Float[Tensor, "_ directions layers"]]) -> Su
 
 
 def shadow_light(
-    image: UInt8[Tensor, "3 H W"],
-    vehicles: Footprints,
-    sun: SunEstimate,
-    light: Light,
-    *,
-    gsd_m: float,
+    image: Pixels, vehicles: Footprints, sun: SunEstimate, light: Light, *, gsd_m: float
 ) -> Float[Tensor, "m 3"]:
-    """Measures how much light is left in the shadows of vehicles, red, green and blue.
+    """Measures the share of red, green and blue light in the shadow of each vehicle, `[m, 3]`.
 
-    It compares the ground in the part of each shadow that lies next to the vehicle with the ground
-    as far away on the other side, both less the photograph's black.
-
-    Returns:
-        One row for each vehicle with enough free ground on both sides.
+    It compares the ground in the part of the shadow next to the vehicle with the ground as far away
+    on the other side, both less the photograph's black. Vehicles without enough free ground on both
+    sides are skipped.
     """
     linear = srgb_to_linear(image.double() / 255) - torch.tensor(light.black)[:, None, None]
     values = linear.clamp(min=0.0).numpy()
@@ -293,15 +273,13 @@ def shadow_light(
 
 
 def with_sky(light: Light, ratios: Iterable[Float[Tensor, "_ 3"]]) -> Light:
-    """Returns the light with the sky's part that shadows show: the median vehicle's, and what the
-    vehicle itself hides of the sky added.
+    """Returns the light with the sky's share in the median vehicle's shadow, if at least 3 show it.
 
-    It stays as it is with fewer than 3 vehicles, and unless the sun is clearly below 60 degrees (by
-    two standard deviations): above, hardly any shadow lies beside a vehicle.
+    The share is corrected for the sky that the vehicle itself hides. The light stays unless the sun
+    is below 60 degrees by two standard deviations: above, hardly any shadow lies beside a vehicle.
     """
-    if light.sun is None:
-        return light
-    if light.sun.elevation_rad + 2 * light.sun.elevation_sd_rad > _HIGHEST_FOR_SKY_RAD:
+    sun = light.sun
+    if sun is None or sun.elevation_rad + 2 * sun.elevation_sd_rad > _HIGHEST_FOR_SKY_RAD:
         return light
     rows = torch.cat([torch.zeros(0, 3), *ratios])
     if len(rows) < FEWEST_VEHICLES:
@@ -310,7 +288,7 @@ def with_sky(light: Light, ratios: Iterable[Float[Tensor, "_ 3"]]) -> Light:
 
 
 def sky_of(left: Iterable[float]) -> tuple[float, float, float]:
-    """Returns the sky's part of the light for what is left in wide shadows, red, green, blue."""
+    """Returns the sky's share of the light for the red, green and blue in wide shadows."""
     return rounded_levels(min(max(each, 0.05), 1.0) for each in left)
 
 
@@ -321,7 +299,7 @@ def _side(stacked: Array) -> tuple[float, Array, float]:
 
 
 def _length_m(profile: Array) -> float | None:
-    """Returns a shadow's length; None where it has no end."""
+    """Returns a shadow's length; None without an end."""
     peak = int(profile[: round(NEAR_M / LAYER_M)].argmax())
     end = END_SHARE * profile[peak]
     for layer in range(peak, len(profile) - 1):

@@ -1,19 +1,25 @@
-"""Finds where vehicles and their shadows hide the ground, shadows in the pictures themselves."""
+"""Finds vehicles by a detector, and masks them with their shadows, measured in the pictures."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float
 from numpy.typing import NDArray
 from torch import Tensor
+from torchvision import ops
+
+from skyproof.datasets.pictures import Boxes, Pixels
+from skyproof.detectors.detector import Detections, Detector, TrainableDetector
+from skyproof.detectors.inference import covering_windows, detect_batch
+from skyproof.errors import ConfigurationError
 
 Array = NDArray[np.float64]
-Box = tuple[float, float, float, float]
 
 DIRECTIONS = 24
 LONGEST_SHADOW_M = 6.0
@@ -22,10 +28,10 @@ NEAR_M = 1.0
 SAMPLE_LIMIT = 300
 FEWEST_VEHICLES = 3
 FAINTEST_SHADOW = 0.05
-"""Of the ground's brightness: the least by which the shadow side is darker than the side across."""
+"""Smallest difference of brightness between the shadow side and the side across."""
 END_SHARE = 0.25
 STRETCH, PENUMBRA_M = 1.25, 0.5
-"""The shadow is taken longer than measured: vehicles higher than the median one, and soft edges."""
+"""Factor and addition to the measured length, for higher vehicles and soft edges."""
 
 
 @dataclass(frozen=True)
@@ -33,12 +39,10 @@ class Shadow:
     """The shadow that vehicles of one picture cast on the ground.
 
     Attributes:
-        direction: unit vector (x right, y down) it falls in; (0, 0) where vehicles cast no directed
-            shadow.
-        length_m: how far it reaches beyond a vehicle's box.
-        contrast: how much darker the ground is on that side than on the other, as a part of its
-            brightness.
-        vehicles: how many it was measured on.
+        direction: unit vector (x right, y down) of its fall; (0, 0) without a directed shadow.
+        length_m: reach beyond a vehicle's box.
+        contrast: darkness of the shadow side less that of the other, as a share of brightness.
+        vehicles: number of measured vehicles.
     """
 
     direction: tuple[float, float]
@@ -48,46 +52,33 @@ class Shadow:
 
 
 def vehicle_mask(
-    size_px: tuple[int, int],
-    boxes: Float[Tensor, "n 4"],
-    shadow: Shadow | None,
-    *,
-    gsd_m: float,
-    margin_m: float,
+    size_px: tuple[int, ...], boxes: Boxes, shadow: Shadow | None, *, gsd_m: float, margin_m: float
 ) -> Bool[Tensor, "H W"]:
-    """Masks boxes grown by a margin and drawn along the shadow: all that the moving box touches.
+    """Masks the pixels that boxes touch, grown by a margin and moved along the shadow.
 
-    Args:
-        boxes: pixel xyxy, half-open.
-        shadow: as `estimate_shadow` found it; None where it is unknown: the margin is then doubled.
+    Boxes are pixel xyxy, half-open. The margin is doubled if the shadow is unknown (None).
     """
     mask = np.zeros(size_px, dtype=bool)
     margin_px = margin_m / gsd_m * (1 if shadow is not None else 2)
-    direction = shadow.direction if shadow is not None else (0.0, 0.0)
-    length_px = shadow.length_m / gsd_m if shadow is not None else 0.0
+    shadow = shadow or Shadow((0.0, 0.0), 0.0, 0.0, 0)
+    length_px = shadow.length_m / gsd_m
     for left, top, right, bottom in boxes.tolist():
         grown = (left - margin_px, top - margin_px, right + margin_px, bottom + margin_px)
         rows, columns = window_around(grown, length_px + 1, size_px)
         if rows.stop > rows.start and columns.stop > columns.start:
-            mask[rows, columns] |= arrival(grown, direction, rows, columns) <= length_px
+            mask[rows, columns] |= arrival(grown, shadow.direction, rows, columns) <= length_px
     return torch.from_numpy(mask)
 
 
 def darkness_profiles(
-    image: UInt8[Tensor, "3 H W"],
-    boxes: Float[Tensor, "n 4"],
-    headings_rad: Sequence[float] | None = None,
-    *,
-    gsd_m: float,
+    image: Pixels, boxes: Boxes, headings_rad: Sequence[float] | None = None, *, gsd_m: float
 ) -> Float[Tensor, "n directions layers"]:
     """Measures how dark the ground beside each box is, by direction and by layer outwards.
 
-    Where headings are given, each box is turned about its middle by its own, from x (right) towards
-    up.
-
-    A layer is what a box moved on by `LAYER_M` newly covers. Values are 1 - brightness / brightness
-    of the ground around the vehicle (the median within 4 m), cut to [-0.5, 1]; nan where other
-    boxes or the picture's edge leave nothing.
+    Each box is turned about its middle by its heading, if given, from x (right) towards up. A layer
+    is the ground that a box newly covers when it moves by `LAYER_M`. Values are 1 - brightness /
+    brightness of the ground around the vehicle (the median within 4 m), cut to [-0.5, 1]. They are
+    nan if other boxes or the picture's edge leave no pixels.
     """
     grey = image.double().mean(0).numpy()
     turns = [0.0] * len(boxes) if headings_rad is None else list(headings_rad)
@@ -114,16 +105,13 @@ def darkness_profiles(
 
 
 def estimate_shadow(profiles: Iterable[Float[Tensor, "_ directions layers"]]) -> Shadow | None:
-    """Estimates the shadow that all vehicles of one picture share.
+    """Estimates the shadow that all vehicles of one picture share; None with fewer than 3 vehicles.
 
-    The direction is the sum of all directions weighted by how dark the ground is there within 1 m
-    of the boxes (the median over vehicles). The length is where the darkness, less that of the side
-    across, falls below a quarter of its largest value, stretched by a quarter and a soft edge for
-    higher vehicles. What never ends within 6 m is not theirs, such as the trees they park under.
-
-    Returns:
-        None with fewer than 3 vehicles; without direction and length where no side is darker than
-        the one across, as under an overcast sky.
+    The direction is the sum of all directions weighted by the darkness of the ground within 1 m of
+    the boxes (the median over vehicles). The shadow ends where the darkness, less that of the side
+    across, falls below a quarter of its largest value. It has no direction if no side is darker
+    than the one across, as under an overcast sky, or if it does not end within 6 m, as that of
+    trees.
     """
     stacked = stack_profiles(profiles)
     if len(stacked) < FEWEST_VEHICLES:
@@ -132,17 +120,12 @@ def estimate_shadow(profiles: Iterable[Float[Tensor, "_ directions layers"]]) ->
     length = math.hypot(x, y)
     peak = int(profile[: round(NEAR_M / LAYER_M)].argmax())
     ends = np.nonzero(profile[peak:] < END_SHARE * profile[peak])[0]
-    # A darkness without an end is not the vehicles' own, but a road's dark side or the trees along
-    # it.
+    # A darkness without an end is that of a road's side or of trees along it.
     if contrast < FAINTEST_SHADOW or not len(ends):
         return Shadow((0.0, 0.0), 0.0, contrast, len(stacked))
     reach_m = STRETCH * (peak + int(ends[0])) * LAYER_M + PENUMBRA_M
-    return Shadow(
-        (float(x / length), float(y / length)),
-        min(reach_m, LONGEST_SHADOW_M),
-        contrast,
-        len(stacked),
-    )
+    direction = (float(x / length), float(y / length))
+    return Shadow(direction, min(reach_m, LONGEST_SHADOW_M), contrast, len(stacked))
 
 
 def stack_profiles(profiles: Iterable[Float[Tensor, "_ directions layers"]]) -> Array:
@@ -157,16 +140,10 @@ def stack_profiles(profiles: Iterable[Float[Tensor, "_ directions layers"]]) -> 
 
 
 def shadow_side(stacked: Array, near_m: float = NEAR_M) -> tuple[tuple[float, float], Array, float]:
-    """Finds the side of the boxes on which the ground is dark.
+    """Finds the side of the boxes on which the ground within `near_m` is dark.
 
-    Args:
-        stacked: of one vehicle or more, as `stack_profiles` gives them.
-        near_m: how far from the boxes ground is near.
-
-    Returns:
-        The way (x right, y down, of any length) that the sum of all directions, weighted by the
-        darkness near the boxes, points; the darkness by layer on that side; and the darkness near
-        the boxes there: both less those of the side across.
+    It returns the sum of all directions (x right, y down), weighted by the darkness near the boxes,
+    then the darkness by layer on that side, and near the boxes, both less those of the side across.
     """
     near_layers = round(near_m / LAYER_M)
     near = _median_of(stacked[:, :, :near_layers].reshape(len(stacked), -1))
@@ -180,9 +157,8 @@ def shadow_side(stacked: Array, near_m: float = NEAR_M) -> tuple[tuple[float, fl
 
 
 def _median_of(values: Array) -> Array:
-    """Takes the median over the first axis, without nan; 0 where there is nothing else."""
-    masked = np.ma.masked_invalid(values)
-    return np.ma.median(masked, axis=0).filled(0.0)
+    """Takes the median over the first axis, without nan; 0 for nan alone."""
+    return np.ma.median(np.ma.masked_invalid(values), axis=0).filled(0.0)
 
 
 def _unit(number: int) -> tuple[float, float]:
@@ -191,9 +167,9 @@ def _unit(number: int) -> tuple[float, float]:
 
 
 def covered_ground(
-    boxes: Float[Tensor, "n 4"], headings_rad: Sequence[float], size_px: tuple[int, ...]
+    boxes: Boxes, headings_rad: Sequence[float], size_px: tuple[int, ...]
 ) -> NDArray[np.bool_]:
-    """Says per pixel of a picture of that height and width whether a turned box covers it."""
+    """Tells for each pixel of a picture of that height and width whether a turned box covers it."""
     covered = np.zeros(size_px, dtype=bool)
     for box, turn_rad in zip(boxes.tolist(), headings_rad, strict=True):
         rows, columns = window_around(box, 0.0, size_px, turn_rad)
@@ -202,7 +178,7 @@ def covered_ground(
 
 
 def window_around(
-    box: Box | list[float], margin_px: float, size_px: tuple[int, ...], turn_rad: float = 0.0
+    box: Sequence[float], margin_px: float, size_px: tuple[int, ...], turn_rad: float = 0.0
 ) -> tuple[slice, slice]:
     """Returns the rows and columns around a box that is turned about its middle."""
     left, top, right, bottom = box
@@ -210,23 +186,26 @@ def window_around(
     sine = abs(math.sin(turn_rad))
     across = margin_px + ((right - left) * cosine + (bottom - top) * sine) / 2
     down = margin_px + ((right - left) * sine + (bottom - top) * cosine) / 2
-    x, y = (left + right) / 2, (top + bottom) / 2
-    return (
-        slice(max(0, math.floor(y - down)), max(0, min(size_px[0], math.ceil(y + down)))),
-        slice(max(0, math.floor(x - across)), max(0, min(size_px[1], math.ceil(x + across)))),
+    rows, columns = (
+        slice(max(0, math.floor(at - reach)), max(0, min(size, math.ceil(at + reach))))
+        for at, reach, size in (
+            ((top + bottom) / 2, down, size_px[0]),
+            ((left + right) / 2, across, size_px[1]),
+        )
     )
+    return rows, columns
 
 
 def arrival(
-    box: Box | list[float],
+    box: Sequence[float],
     direction: tuple[float, float],
     rows: slice,
     columns: slice,
     turn_rad: float = 0.0,
 ) -> Array:
-    """Says per pixel centre how far the box must move in the direction until it covers it.
+    """Returns how far the box must move in the direction until it covers each pixel centre.
 
-    It is 0 inside, and infinite where the box never comes. The box is turned about its middle.
+    It is 0 inside, and infinite if the box never covers it. The box is turned about its middle.
     """
     left, top, right, bottom = box
     half = ((right - left) / 2, (bottom - top) / 2)
@@ -250,3 +229,69 @@ def arrival(
         first = np.maximum(first, np.minimum(first_edge, second_edge))
         last = np.minimum(last, np.maximum(first_edge, second_edge))
     return np.where(first <= last, first, np.inf)
+
+
+SAME_VEHICLE_IOU = 0.3
+
+
+@dataclass(frozen=True)
+class VehicleFinder:
+    """A detector for tiles of any size; its name in the record is its folder and digest."""
+
+    detector: Detector
+    name: str
+
+    @classmethod
+    def of_folder(cls, detector: Detector, folder: Path, device: torch.device) -> VehicleFinder:
+        """Names a detector by its folder and its weights' digest, and moves it to a device."""
+        if not isinstance(detector, TrainableDetector):
+            return cls(detector, f"{folder} (by its answers)")
+        return cls(detector.to(device), f"{folder} ({detector.weights_sha256[:12]})")
+
+    def detections(self, image: Pixels, lowest_score: float) -> Detections:
+        """Finds vehicles in a tile of any size, a large one through windows that overlap."""
+        detected = []
+        for left, top, width, height in covering_windows((image.shape[2], image.shape[1])):
+            part = image[:, top : top + height, left : left + width]
+            detections = detect_batch(self.detector, part[None])[0]
+            shift = torch.tensor([left, top, left, top], dtype=torch.float32)
+            keep = detections.scores.cpu() >= lowest_score
+            detected.append((detections.boxes.cpu()[keep] + shift, detections.scores.cpu()[keep]))
+        boxes = torch.cat([f[0] for f in detected])
+        scores = torch.cat([f[1] for f in detected])
+        kept = ops.nms(boxes, scores, 0.5)
+        return Detections(boxes[kept].reshape(-1, 4), scores[kept])
+
+
+def other_vehicles(detections: Detections, known: Boxes) -> Detections:
+    """Returns the detections with an IoU below 0.3 with every known vehicle."""
+    boxes = detections.boxes
+    if not len(known) or not len(boxes):
+        return detections
+    other = ops.box_iou(boxes, known).max(dim=1).values < SAME_VEHICLE_IOU
+    return Detections(boxes[other], detections.scores[other])
+
+
+def grown_to_what_is_seen(known: Boxes, detections: Detections) -> Boxes:
+    """Grows known boxes so that they include the detection with the largest IoU, from 0.3 on.
+
+    The square around a point label would leave bumpers. No box shrinks.
+    """
+    boxes = detections.boxes
+    if not len(known) or not len(boxes):
+        return known
+    overlap, nearest = ops.box_iou(known, boxes).max(dim=1)
+    low = torch.minimum(known[:, :2], boxes[nearest, :2])
+    high = torch.maximum(known[:, 2:], boxes[nearest, 2:])
+    grown = torch.cat([low, high], dim=1)
+    return torch.where((overlap >= SAME_VEHICLE_IOU)[:, None], grown, known)
+
+
+def check_resolution(finder: VehicleFinder | None, gsd_m: float) -> None:
+    """Refuses a detector that was trained at another resolution."""
+    if finder is not None and abs(finder.detector.card.gsd_m - gsd_m) > 0.02 * gsd_m:
+        raise ConfigurationError(
+            f"The detector {finder.name} was trained at {finder.detector.card.gsd_m} m per pixel "
+            f"but the tiles have {gsd_m} m; give one of this resolution, or tile the imagery at "
+            "the detector's."
+        )

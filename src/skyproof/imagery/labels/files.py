@@ -1,29 +1,43 @@
 """Reads labels of any of the known forms: COCO, YOLO text, DOTA oriented boxes, vector files."""
 
-from __future__ import annotations
-
+import re
+import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from skyproof.documents import read_document
 from skyproof.errors import ImageryError
-from skyproof.imagery.labels.coco import read_coco_labels
-from skyproof.imagery.labels.dota import is_dota_line, read_dota_labels
-from skyproof.imagery.labels.ground import read_ground_labels
-from skyproof.imagery.labels.label import Labels
-from skyproof.imagery.labels.text import IMAGE_FOLDER, LABEL_FOLDERS, text_lines
-from skyproof.imagery.labels.yolo import class_file, read_yolo_labels
+from skyproof.imagery.labels.image_files import (
+    IMAGE_FOLDER,
+    LABEL_FOLDERS,
+    LARGEST_NUMBER,
+    class_file,
+    is_dota_line,
+    read_coco_labels,
+    read_dota_labels,
+    read_yolo_labels,
+    text_lines,
+)
+from skyproof.imagery.labels.label import GroundLabels, Label, Labels, Point
 
 _FORMS = (
     "COCO (.json), GeoJSON (.geojson or .json), GeoPackage (.gpkg), Shapefile (.shp), a folder of "
     "YOLO text with a .names file or data.yaml, or a folder of DOTA text"
 )
+_CLASS_KEYS = ("class", "category", "label", "type")
+"""Properties that may name an object's class, in the order of their precedence."""
+_UNNAMED = "vehicle"
+"""The class of an object without a class name."""
+# First bytes of GeoPackages and Shapefiles; everything else is GeoJSON.
+_BEGINNINGS = {".gpkg": b"SQLite format 3\0", ".shp": b"\0\0\x27\x0a"}
 
 
-class _Kind(msgspec.Struct):
-    """What tells one form of JSON from another; the rest is not kept."""
+class _LabelForm(msgspec.Struct):
+    """The fields that tell one form of JSON from another."""
 
     type: Any = None
     crs: Any = None
@@ -32,16 +46,14 @@ class _Kind(msgspec.Struct):
 
 
 def read_labels(path: Path) -> Labels:
-    """Reads labels and finds out by itself in which form they are.
+    """Reads labels of any known form, which it recognises by itself.
 
-    A file is COCO, or GeoJSON where it is a FeatureCollection, or another vector file. A folder is
-    YOLO text where it holds `data.yaml` or one `.names` file, COCO where it holds
-    `annotations.json` (as our own datasets do), and DOTA text where its `.txt` files, or those in
-    `labelTxt/`, say so.
+    A file is COCO, GeoJSON if it is a FeatureCollection, or another vector file. A folder is YOLO
+    text if it holds `data.yaml` or one `.names` file, COCO if it holds `annotations.json` (as our
+    own datasets do), and DOTA text by its `.txt` files, or those in `labelTxt/`.
 
     Raises:
-        ImageryError: the path is missing, empty, damaged or of another form; names the file, and
-            the line where there are lines.
+        ImageryError: the path is missing, empty, damaged or of another form.
     """
     path = Path(path)
     if path.is_dir():
@@ -49,12 +61,12 @@ def read_labels(path: Path) -> Labels:
     if not path.is_file():
         raise ImageryError(f"{path} is missing; give labels as {_FORMS}.")
     if path.suffix.lower() in (".gpkg", ".shp"):
-        return read_ground_labels(path)
+        return _read_ground_labels(path)
     if path.suffix.lower() not in (".json", ".geojson"):
         raise ImageryError(f"{path} is not of a known label form; expected {_FORMS}.")
-    kind: _Kind = read_document(path, _Kind, "replace the file", error=ImageryError)
+    kind: _LabelForm = read_document(path, _LabelForm, "replace the file", error=ImageryError)
     if kind.type == "FeatureCollection":
-        return read_ground_labels(path, kind.crs)
+        return _read_ground_labels(path, kind.crs)
     if kind.images is not msgspec.UNSET and kind.annotations is not msgspec.UNSET:
         return read_coco_labels(path)
     raise ImageryError(
@@ -63,28 +75,119 @@ def read_labels(path: Path) -> Labels:
 
 
 def _read_folder(folder: Path) -> Labels:
-    # Whoever names one of two folders beside each other means both.
+    # A user who names one of two folders beside each other means both.
     halves = (IMAGE_FOLDER, *LABEL_FOLDERS)
     if folder.name in halves and class_file(folder) is None and class_file(folder.parent):
         folder = folder.parent
-    if class_file(folder) is not None:
-        return read_yolo_labels(folder)
+    names = class_file(folder)
+    if names is not None:
+        return read_yolo_labels(folder, names)
     if (folder / "annotations.json").is_file():
         return read_labels(folder / "annotations.json")
     place = folder / LABEL_FOLDERS[1] if (folder / LABEL_FOLDERS[1]).is_dir() else folder
     texts = sorted(place.glob("*.txt"))
     if not texts:
         raise ImageryError(f"{folder} holds no labels; expected {_FORMS}.")
-    # Files may be empty (an image without vehicles): the first line that there is decides.
+    # Files may be empty (an image without vehicles): the first line in any of them decides.
     first = next(((text, words) for text in texts for _, words in text_lines(text)[:1]), None)
     if first is None or not is_dota_line(first[1]):
-        line = (
-            f"{first[0]} begins {' '.join(first[1][:6])!r}"
-            if first
-            else "all its .txt files are empty"
-        )
+        line = "all its .txt files are empty"
+        if first is not None:
+            line = f"{first[0]} begins {' '.join(first[1][:6])!r}"
         raise ImageryError(
             f"{folder} is neither DOTA text ({line}) nor YOLO text (0 .names files and no "
             "data.yaml); add the class names for YOLO, or give other labels."
         )
     return read_dota_labels(place)
+
+
+def _read_ground_labels(path: Path, crs_member: Any = None) -> GroundLabels:
+    """Reads points and outlines of a vector file with one layer.
+
+    The four corners of an outline are kept; any other outline becomes the upright box around it.
+    GeoJSON coordinates are longitude and latitude (WGS 84), unless a `crs` member, which GDAL still
+    writes, names another system. GDAL reads an unknown one as WGS 84. A property `ignore` that is
+    true marks a region that is not scored.
+    """
+    # Loaded only for labels on the ground: it takes a second.
+    import geopandas
+
+    known = _BEGINNINGS.get(path.suffix.lower())
+    if known is not None and not path.read_bytes()[: len(known)] == known:
+        raise ImageryError(
+            f"{path} is no {path.suffix.lower()} file inside; replace it, or name it as it is."
+        )
+    # GDAL is told which reader to take, because some of them fetch files from elsewhere.
+    place = path if known is not None else f"GeoJSON:{path}"
+    try:
+        layers = geopandas.list_layers(place)
+        with warnings.catch_warnings():
+            # The errors below name the objects that GDAL warns of.
+            warnings.simplefilter("ignore")
+            frame = geopandas.read_file(place, layer=0, on_invalid="ignore")
+    except Exception as error:  # GDAL, pyogrio, shapely and pyproj each raise their own types
+        reason = " ".join(str(error).split())[:200]
+        raise ImageryError(f"{path} cannot be read ({reason}); give another file.") from error
+    if len(layers) > 1:
+        raise ImageryError(f"{path} holds {len(layers)} layers; give a file of one (ogr2ogr).")
+    if frame.empty or "geometry" not in frame:
+        raise ImageryError(f"{path} holds no objects (features); give another file.")
+    crs = None if frame.crs is None else frame.crs.to_string()
+    if crs == "EPSG:4326" and crs_member is not None:
+        crs = crs if re.search("4326|CRS84", str(crs_member)) else None
+    if crs is None:
+        raise ImageryError(
+            f"{path} names no reference system that is known; convert it (ogr2ogr -t_srs "
+            "EPSG:4326)."
+        )
+    labels: list[Label] = []
+    # Integers stay integers if some objects have none.
+    properties = frame.drop(columns="geometry").convert_dtypes()
+    records = properties.astype(object).where(properties.notna(), None).to_dict("records")
+    for number, (geometry, record) in enumerate(zip(frame.geometry, records, strict=True), 1):
+        where = f"{path} object {number}"
+        shapes = _shapes(geometry)
+        if not shapes:
+            raise ImageryError(
+                f"{where} is neither a point nor a polygon with coordinates; correct it."
+            )
+        for corners in shapes:
+            if crs == "EPSG:4326" and any(abs(x) > 180 or abs(y) > 90 for x, y in corners):
+                raise ImageryError(
+                    f"{where} is at {corners[0][0]:g}, {corners[0][1]:g}, which is no longitude "
+                    "and latitude; name the reference system in the file, or convert it (ogr2ogr "
+                    "-t_srs EPSG:4326)."
+                )
+            labels.append(Label(_class_name(record), corners, _ignored(record)))
+    names = dict.fromkeys(label.class_name for label in labels)
+    return GroundLabels(tuple(names), tuple(labels), crs)
+
+
+def _shapes(geometry: Any) -> list[tuple[Point, ...]]:
+    """Returns the corners of a geometry's parts; nothing where one is no point or outline."""
+    parts = [] if geometry is None else list(getattr(geometry, "geoms", [geometry]))
+    shapes = [_corners(part) for part in parts]
+    return shapes if all(shapes) else []
+
+
+def _corners(part: Any) -> tuple[Point, ...]:
+    if part.is_empty or not (np.abs(part.bounds) <= LARGEST_NUMBER).all():
+        return ()
+    if part.geom_type == "Point":
+        return ((part.x, part.y),)
+    left, bottom, right, top = part.bounds
+    if part.geom_type != "Polygon" or left == right or bottom == top:
+        return ()
+    corners = tuple((x, y) for x, y, *_ in part.exterior.coords[:-1])
+    box = ((left, bottom), (right, bottom), (right, top), (left, top))
+    return corners if len(corners) == 4 else box
+
+
+def _class_name(record: Mapping[str, Any]) -> str:
+    values = [record[key] for key in _CLASS_KEYS if record.get(key) not in (None, "")]
+    return str(values[0]) if values else _UNNAMED
+
+
+def _ignored(record: Mapping[str, Any]) -> bool:
+    # Shapefiles have no truth values, only numbers.
+    return str(record.get("ignore")) in ("True", "1")

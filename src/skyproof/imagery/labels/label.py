@@ -2,37 +2,87 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
+from skyproof.datasets.annotations import is_within
+from skyproof.datasets.pictures import Boxes
 from skyproof.errors import ImageryError
 
 Point = tuple[float, float]
+Box = tuple[float, float, float, float]
 
 _MOST_PIECES = 2_000
 _SLACK = 0.005
-"""Label tools round, and may let a box reach over the image's edge by a pixel."""
+"""Text with few digits rounds the sides of a box by this share."""
 
 
 @dataclass(frozen=True)
 class Label:
     """One labelled object.
 
-    Attributes:
-        corners: four (x, y) in order around the object; one (x, y) where only its place is known.
-        ignore: the file itself says that nothing is to be scored here (COCO's iscrowd, DOTA's
-            difficult).
+    Its corners are four (x, y) in order around it, or one if only its place is known. `ignore`
+    excludes it from the score (COCO's iscrowd, DOTA's difficult).
     """
 
     class_name: str
     corners: tuple[Point, ...]
     ignore: bool = False
+
+    @classmethod
+    def upright(cls, class_name: str, box: Box, ignore: bool = False) -> Label:
+        """Makes a label of an xyxy box."""
+        left, top, right, bottom = box
+        corners = (left, top), (right, top), (right, bottom), (left, bottom)
+        return cls(class_name, corners, ignore)
+
+    def moved(self, corners: Sequence[Point]) -> Label:
+        """Returns the label with other corners."""
+        return dataclasses.replace(self, corners=tuple(corners))
+
+    @property
+    def bounds(self) -> Box:
+        """The smallest upright box around it, xyxy; without size around a point."""
+        xs, ys = zip(*self.corners, strict=True)
+        return min(xs), min(ys), max(xs), max(ys)
+
+    @property
+    def middle(self) -> Point:
+        """The middle of its bounds."""
+        left, top, right, bottom = self.bounds
+        return (left + right) / 2, (top + bottom) / 2
+
+    @property
+    def is_oriented(self) -> bool:
+        """Whether it has four corners that are not those of an upright box, beyond rounding."""
+        left, top, right, bottom = self.bounds
+        slack_x, slack_y = _SLACK * (right - left), _SLACK * (bottom - top)
+        return len(self.corners) == 4 and any(
+            min(x - left, right - x) > slack_x or min(y - top, bottom - y) > slack_y
+            for x, y in self.corners
+        )
+
+    def corners_lengthwise(self) -> tuple[Point, ...]:
+        """Returns its corners in pixels: front left, front right, rear right, rear left.
+
+        The front is the short side that begins with the earlier corner.
+        """
+        corners = self.corners
+        area = sum(
+            x0 * y1 - x1 * y0
+            for (x0, y0), (x1, y1) in zip(corners, (*corners[1:], corners[0]), strict=True)
+        )
+        # With y down a positive area runs clockwise, as seen, and so do front left and front right.
+        if area < 0:
+            corners = (corners[0], *reversed(corners[1:]))
+        if math.dist(corners[0], corners[1]) > math.dist(corners[1], corners[2]):
+            corners = (*corners[1:], corners[0])
+        return corners
 
 
 @dataclass(frozen=True)
@@ -40,10 +90,9 @@ class ImageLabels:
     """Labels in pixels, x right and y down from the top-left corner of the top-left pixel.
 
     Attributes:
-        classes: every class name the file knows, also those without an object.
-        images: per image, called as `image_name` says, its labels, none for an image without
-            objects; one not named was not labelled.
-        sizes_px: per image its width and height, where the file or the image beside it states them.
+        classes: every class name of the file, also those without an object.
+        images: labels of each labelled image, by its `image_name`.
+        sizes_px: width and height of each image, if the file or the image beside it states them.
     """
 
     classes: tuple[str, ...]
@@ -69,52 +118,8 @@ class GroundLabels:
 Labels = ImageLabels | GroundLabels
 
 
-def bounds(label: Label) -> tuple[float, float, float, float]:
-    """Returns the smallest upright box around a label, xyxy; of no size around a point."""
-    xs, ys = zip(*label.corners, strict=True)
-    return min(xs), min(ys), max(xs), max(ys)
-
-
-def is_oriented(label: Label) -> bool:
-    """Tells whether a label has four corners that are not those of an upright box.
-
-    To half a percent of its sides, as much as text with few digits rounds.
-    """
-    if len(label.corners) != 4:
-        return False
-    left, top, right, bottom = bounds(label)
-    slack_x, slack_y = _SLACK * (right - left), _SLACK * (bottom - top)
-    return any(
-        min(x - left, right - x) > slack_x or min(y - top, bottom - y) > slack_y
-        for x, y in label.corners
-    )
-
-
-def corners_lengthwise(label: Label) -> tuple[Point, ...]:
-    """Gives the four corners of a label in pixels: front left, front right, rear right, rear left.
-
-    Front and rear are the short sides. Labels do not say which of the two is the front: the one
-    that begins with the earlier corner is taken for it.
-    """
-    corners = label.corners
-    area = sum(
-        x0 * y1 - x1 * y0
-        for (x0, y0), (x1, y1) in zip(corners, (*corners[1:], corners[0]), strict=True)
-    )
-    # With y down a positive area runs clockwise, as seen, and so do front left and front right.
-    if area < 0:
-        corners = (corners[0], *reversed(corners[1:]))
-    if math.dist(corners[0], corners[1]) > math.dist(corners[1], corners[2]):
-        corners = (*corners[1:], corners[0])
-    return corners
-
-
 def require_classes(labels: Labels, classes: Sequence[str], where: str) -> None:
-    """Checks that the file knows every class that is to count as a vehicle.
-
-    Raises:
-        ImageryError: one it does not know; names those it does.
-    """
+    """Refuses classes that the labels lack."""
     unknown = next((name for name in classes if name not in labels.classes), None)
     if unknown is not None:
         known = ", ".join(labels.classes) or "none at all"
@@ -124,32 +129,17 @@ def require_classes(labels: Labels, classes: Sequence[str], where: str) -> None:
 
 
 def require_inside(label: Label, size_px: tuple[int, int], where: str) -> None:
-    """Checks that a label lies in its image.
+    """Refuses an upright box that is not wholly in its image, or an oriented one centred outside.
 
-    An upright box must do so with all of it, an oriented one with its centre.
-
-    Args:
-        where: file and line or number of the label, for the message.
-
-    Raises:
-        ImageryError: it does not, or it has no size.
+    `where` is the file and the line or number of the label, for the message.
     """
-    left, top, right, bottom = bounds(label)
+    left, top, right, bottom = label.bounds
     width, height = size_px
-    points = len(label.corners) == 1
-    if not points and not (right > left and bottom > top):
+    if len(label.corners) > 1 and not (right > left and bottom > top):
         raise ImageryError(f"{where} has a box without size; correct it.")
-    if {x for x, _ in label.corners} == {left, right} and {y for _, y in label.corners} == {
-        top,
-        bottom,
-    }:
-        slack_x, slack_y = _SLACK * width, _SLACK * height
-        inside = (
-            left >= -slack_x
-            and top >= -slack_y
-            and right <= width + slack_x
-            and bottom <= height + slack_y
-        )
+    xs, ys = ({*values} for values in zip(*label.corners, strict=True))
+    if xs == {left, right} and ys == {top, bottom}:
+        inside = is_within(label.bounds, size_px)
     else:
         # Corners of an oriented box may well reach over the edge.
         inside = 0 <= (left + right) / 2 <= width and 0 <= (top + bottom) / 2 <= height
@@ -159,9 +149,7 @@ def require_inside(label: Label, size_px: tuple[int, int], where: str) -> None:
         )
 
 
-def border_strips(
-    size_px: tuple[int, int], border_px: float
-) -> list[tuple[float, float, float, float]]:
+def border_strips(size_px: tuple[int, int], border_px: float) -> list[Box]:
     """Returns the band along an image's border as boxes, pixel xyxy: top, bottom, left, right."""
     width, height = map(float, size_px)
     x = min(border_px, width)
@@ -174,9 +162,7 @@ def border_strips(
     ]
 
 
-def pieces_of(
-    box: tuple[float, float, float, float], side_px: float
-) -> list[tuple[float, float, float, float]]:
+def pieces_of(box: Box, side_px: float) -> list[Box]:
     """Cuts a box along its longer side into pieces of about a given length."""
     left, top, right, bottom = box
     across = right - left >= bottom - top
@@ -197,27 +183,20 @@ def sort_labels(
     size_px: tuple[int, int],
     border_px: float,
     point_box_px: float,
-) -> tuple[Float[Tensor, "n 4"], Float[Tensor, "m 4"]]:
-    """Divides the labels of one image into vehicles and regions where nothing is scored.
+) -> tuple[Boxes, Boxes]:
+    """Divides the labels of one image into vehicles `[n, 4]` and ignore regions `[m, 4]`.
 
     Vehicles are labels of the named classes whose centre lies in the image, inside its border band.
-    Every other label that touches the image becomes an ignore region. Boxes are cut at the image's
-    edge; what lies beyond is dropped.
-
-    Args:
-        labels: in pixels of the image; may reach out of it, or lie outside.
-        border_px: in a band this wide nothing is scored, because vehicles cut by the edge are often
-            unlabelled; four ignore regions after the others. 0 for none.
-        point_box_px: side of the box that stands for a point.
-
-    Returns:
-        Vehicles `[n, 4]` and ignore regions `[m, 4]`, pixel xyxy, in the order of the labels.
+    Every other label that touches the image becomes an ignore region. Boxes, xyxy, are cut at the
+    image's edge, and labels beyond it are dropped. Vehicles cut by the edge are often unlabelled,
+    so the border band becomes four ignore regions after the others. `point_box_px` is the side of
+    the box around a label that is a point.
     """
     (width, height), half = size_px, point_box_px / 2
-    truths: list[tuple[float, ...]] = []
-    ignored: list[tuple[float, ...]] = []
+    truths: list[Box] = []
+    ignored: list[Box] = []
     for label in labels:
-        left, top, right, bottom = bounds(label)
+        left, top, right, bottom = label.bounds
         if len(label.corners) == 1:
             left, top, right, bottom = left - half, top - half, right + half, bottom + half
         x, y = (left + right) / 2, (top + bottom) / 2

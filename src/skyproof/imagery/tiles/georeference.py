@@ -1,6 +1,4 @@
-"""Says where an image lies and how large its pixels are, whatever its reference system."""
-
-from __future__ import annotations
+"""The place and resolution of an image in any reference system."""
 
 import math
 from collections.abc import Sequence
@@ -31,11 +29,11 @@ Point = tuple[float, float]
 
 @dataclass(frozen=True)
 class Georeference:
-    """Where an image lies.
+    """The place of an image.
 
     Attributes:
-        crs: its reference system, or None: then it lies in a grid of its own, x right and y up
-            from its top-left corner, in metres.
+        crs: its reference system. None puts it into a grid of its own, x right and y up from its
+            top-left corner, in metres.
         transform: pixels (column, row) to coordinates.
         gsd_m: metres on the ground per column and per row.
     """
@@ -48,44 +46,39 @@ class Georeference:
 def to_reference_system(
     source: CRS | None, target: CRS | None, points: Sequence[Point]
 ) -> list[Point]:
-    """Takes points from one system to another; those that cannot be taken there become infinite."""
+    """Takes points from one system to another; points without a place there become infinite."""
     if source == target or not points:
         return list(points)
     try:
-        xs, ys = transform_places(source, target, [x for x, _ in points], [y for _, y in points])[
-            :2
-        ]
+        xs, ys, *_ = transform_places(source, target, *zip(*points, strict=True))
         return list(zip(xs, ys, strict=True))
     except (RasterioError, CPLE_BaseError):
-        # One point fails all: find which.
+        # One point makes all fail: find it.
         if len(points) == 1:
             return [(math.inf, math.inf)]
         half = len(points) // 2
-        return to_reference_system(source, target, points[:half]) + to_reference_system(
-            source, target, points[half:]
-        )
+        parts = points[:half], points[half:]
+        return [point for part in parts for point in to_reference_system(source, target, part)]
 
 
 def outline(width_px: int, height_px: int, steps: int = 8) -> list[Point]:
     """Returns points along the border of a picture, in pixels.
 
-    Straight lines of one system are curves in another.
+    There are several along each side, because straight lines of one system are curves in another.
     """
-    width = float(width_px)
-    height = float(height_px)
+    width, height = float(width_px), float(height_px)
     shares = [i / steps for i in range(steps)]
-    half = [
-        *((share * width, 0.0) for share in shares),
-        *((width, share * height) for share in shares),
+    half = [(share * width, 0.0) for share in shares] + [
+        (width, share * height) for share in shares
     ]
     return [*half, *((width - x, height - y) for x, y in half)]
 
 
 def map_tile(path: Path) -> tuple[int, int, int] | None:
-    """Reads zoom, column and row of a map tile from its place z/x/y.
+    """Reads zoom, column and row of a map tile from its path z/x/y; None for other paths.
 
-    None is given where the path says no such thing. Rows are counted from the north, as web maps
-    and XYZ folders count them; TMS, which counts from the south, cannot be told apart.
+    Rows are counted from the north, as in web maps and XYZ folders. TMS, which counts from the
+    south, cannot be distinguished.
     """
     parts = (*path.parts[-3:-1], path.stem)
     # More digits than a place can have would be a date or a hash.
@@ -96,16 +89,13 @@ def map_tile(path: Path) -> tuple[int, int, int] | None:
 
 
 def image_name(path: Path) -> str:
-    """Names an image among others: z/x/y of a map tile, whose file is called by its row alone.
-
-    Of any other it is the file's name without its ending.
-    """
+    """Names an image among others: z/x/y of a map tile, else its file without the ending."""
     place = map_tile(path)
     return path.stem if place is None else "/".join(map(str, place))
 
 
 def _of_map_tile(path: Path, width_px: int, height_px: int) -> Affine | None:
-    """Gives where a square map tile lies in Web Mercator."""
+    """Returns the transform of a square map tile in Web Mercator."""
     place = map_tile(path)
     if place is None or width_px != height_px:
         return None
@@ -123,20 +113,12 @@ def read_georeference(
     crs: str | None,
     notes: list[str],
 ) -> Georeference:
-    """Finds out where an image lies.
+    """Finds the place of an image, and adds assumptions to `notes`.
 
-    What the file says comes first, then its place among map tiles (z/x/y). Where it has a transform
-    (its own or a world file's) but names no reference system, `crs` names it; failing that the
-    image gets a grid of its own, at `source_gsd_m` or, if not given either, at the transform's
-    pixel size taken as metres where that is between 0.5 and 50 cm.
-
-    Args:
-        source_gsd_m: metres per pixel of images that do not say it.
-        crs: reference system of images that have a transform but do not name it.
-        notes: what is assumed is added here.
-
-    Raises:
-        ImageryError: no resolution, an impossible one, or coarser than 50 cm.
+    The file's own georeference comes first, then its place among map tiles (z/x/y). `crs` is the
+    reference system of a transform (the file's or a world file's) that names none. Without any
+    system the image gets a grid of its own, at `source_gsd_m` or else at the transform's pixel
+    size, taken as metres if it is between 0.5 and 50 cm.
     """
     affine, system = dataset.transform, dataset.crs
     tile = _of_map_tile(path, dataset.width, dataset.height) if affine.is_identity else None
@@ -193,23 +175,17 @@ def _check_resolution(path: Path, gsd_m: tuple[float, float], whose: str) -> Non
 def _ground_resolution(
     crs: CRS, affine: Affine, width_px: int, height_px: int
 ) -> tuple[float, float] | None:
-    """Returns metres on the ground per column and per row in the image's middle, on WGS 84.
-
-    This serves every system alike: metres, feet, degrees, and Web Mercator, whose "metres" are too
-    long by 1 / cos(latitude).
-    """
+    """Returns metres on the ground per column and row in the image's middle, on WGS 84."""
     step = 16.0
-    middle = (width_px / 2, height_px / 2)
-    places = [
-        affine * (middle[0] + dx, middle[1] + dy)
-        for dx, dy in ((0.0, 0.0), (step, 0.0), (0.0, step))
-    ]
-    lengths_m = _distances_m(crs, places)
+    x, y = width_px / 2, height_px / 2
+    lengths_m = _distances_m(
+        crs, [affine * place for place in ((x, y), (x + step, y), (x, y + step))]
+    )
     return None if lengths_m is None else (lengths_m[0] / step, lengths_m[1] / step)
 
 
 def _distances_m(crs: CRS, places: Sequence[Point]) -> list[float] | None:
-    """Returns distances of nearby places from the first; None where one is nowhere on Earth."""
+    """Returns distances of nearby places from the first; None if one is nowhere on Earth."""
     degrees = to_reference_system(crs, CRS.from_epsg(4326), places)
     if not all(math.isfinite(value) for place in degrees for value in place):
         return None
@@ -226,10 +202,10 @@ def _distances_m(crs: CRS, places: Sequence[Point]) -> list[float] | None:
 
 
 def is_true_to_scale(crs: CRS, place: Point) -> bool:
-    """Says whether a unit of `crs` is a metre on the ground at `place`, to 0.15 %, both ways.
+    """Tells whether a unit of `crs` is a metre on the ground at `place`, to 0.15 %, both ways.
 
-    So it is in UTM (0.9996 to 1.001) and in most national grids, and not in Web Mercator away from
-    the equator.
+    It is in UTM (0.9996 to 1.001) and in most national grids, but not in Web Mercator away from the
+    equator.
     """
     if not crs.is_projected:
         return False
@@ -241,11 +217,7 @@ def is_true_to_scale(crs: CRS, place: Point) -> bool:
 
 
 def system_of(name: str, path: object) -> CRS:
-    """Finds the reference system of a name.
-
-    Raises:
-        ImageryError: nobody knows it here.
-    """
+    """Finds the reference system of a name."""
     try:
         return CRS.from_user_input(name)
     except CRSError as error:

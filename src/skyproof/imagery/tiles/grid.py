@@ -1,18 +1,19 @@
-"""Lays the grids that tiles are cut on: one in true metres per stretch of connected imagery."""
-
-from __future__ import annotations
+"""Lays the grids that tiles are cut on, and divides their cells among the splits."""
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import torch
 from affine import Affine
 from rasterio.crs import CRS
 from scipy.sparse.csgraph import connected_components
 
 from skyproof.errors import ImageryError
+from skyproof.imagery.settings import TilingSettings
 from skyproof.imagery.tiles.georeference import (
     image_name,
     is_true_to_scale,
@@ -38,12 +39,11 @@ class Cell:
     """A square of ground that may become a tile.
 
     Attributes:
-        crs: of its coordinates; None in the grid of an image without georeference.
-        left_m, top_m: its north-west corner.
-        sources: which sources may show it, in the order in which they are asked.
-        offset_px: its place in the grid, right and down.
-        block: cells of one block go to one split.
-        split: where it is settled beforehand.
+        crs: reference system; None in the grid of an image without georeference.
+        sources: numbers of the sources that may show it, in the order of their precedence.
+        offset_px: place in the grid, right and down.
+        block: name of the grid, row and column; cells of one block go to one split.
+        split: its split, if that is decided beforehand.
     """
 
     id: str
@@ -58,10 +58,14 @@ class Cell:
     split: Split | None = None
 
     @property
+    def side_m(self) -> float:
+        """Width and height in metres."""
+        return self.size_px * self.gsd_m
+
+    @property
     def extent(self) -> Extent:
-        """Returns left, bottom, right, top."""
-        side_m = self.size_px * self.gsd_m
-        return self.left_m, self.top_m - side_m, self.left_m + side_m, self.top_m
+        """Left, bottom, right, top."""
+        return self.left_m, self.top_m - self.side_m, self.left_m + self.side_m, self.top_m
 
     @property
     def transform(self) -> Affine:
@@ -71,13 +75,9 @@ class Cell:
 
 @dataclass(frozen=True)
 class Grid:
-    """A grid in true metres.
+    """A grid in true metres from the north-west corner of its cell (0, 0).
 
-    Attributes:
-        name: begins the ids of its tiles.
-        crs: its reference system; None for an image without georeference.
-        left_m, top_m: the north-west corner of cell (0, 0).
-        extents: per source that lies in it, by number, what it covers at most.
+    Its name begins its tiles' ids, and `extents` are what each of its sources covers, by number.
     """
 
     name: str
@@ -86,49 +86,49 @@ class Grid:
     top_m: float
     size_px: int
     gsd_m: float
-    extents: Mapping[int, Extent] = field(default_factory=dict)
+    extents: Mapping[int, Extent]
+
+    @property
+    def side_m(self) -> float:
+        """Width and height of a cell in metres."""
+        return self.size_px * self.gsd_m
 
     def places(self, extent: Extent, *, whole: bool) -> tuple[range, range]:
         """Returns columns and rows of the cells wholly within `extent`, or that touch it."""
-        side_m = self.size_px * self.gsd_m
-        slack = 0.5 * self.gsd_m / side_m * (1 if whole else -1)
+        slack = 0.5 * self.gsd_m / self.side_m * (1 if whole else -1)
         low, high = (math.ceil, math.floor) if whole else (math.floor, math.ceil)
-        left, right = (
-            (extent[0] - self.left_m) / side_m - slack,
-            (extent[2] - self.left_m) / side_m + slack,
+        left, bottom, right, top = extent
+        columns, rows = (
+            range(low(first / self.side_m - slack), high(last / self.side_m + slack))
+            for first, last in (
+                (left - self.left_m, right - self.left_m),
+                (self.top_m - top, self.top_m - bottom),
+            )
         )
-        top, bottom = (
-            (self.top_m - extent[3]) / side_m - slack,
-            (self.top_m - extent[1]) / side_m + slack,
-        )
-        return range(low(left), high(right)), range(low(top), high(bottom))
+        return columns, rows
 
     def whole_cells(self) -> int:
-        """Counts about how many cells its sources fill, each alone or, where none can, together."""
+        """Counts the cells that single sources fill, or else those that all fill together."""
         ranges = [self.places(extent, whole=True) for extent in self.extents.values()]
         alone = sum(len(columns) * len(rows) for columns, rows in ranges)
         return alone or len(self.filled)
 
     @cached_property
     def filled(self) -> dict[tuple[int, int], list[int]]:
-        """Returns the cells that its sources together may fill: row and column to their numbers.
-
-        Raises:
-            ImageryError: they may be more than `MOST_CELLS`.
-        """
-        ranges = [self.places(extent, whole=False) for extent in self.extents.values()]
-        count = sum(len(columns) * len(rows) for columns, rows in ranges)
+        """The cells that its sources together may fill: row and column to their numbers."""
+        places = {i: self.places(extent, whole=False) for i, extent in self.extents.items()}
+        count = sum(len(columns) * len(rows) for columns, rows in places.values())
         if count > MOST_CELLS:
             raise ImageryError(
                 f"The imagery of grid {self.name} would become {count:,} tiles of {self.size_px} "
                 f"px, more than {MOST_CELLS:,}; give fewer or smaller images, or larger tiles "
                 "(--tiling.size-px)."
             )
-        side_m = self.size_px * self.gsd_m
+        side_m = self.side_m
         seen: dict[tuple[int, int], list[int]] = {}
         covered: dict[tuple[int, int], float] = {}
-        for number, extent in self.extents.items():
-            columns, rows = self.places(extent, whole=False)
+        for number, (columns, rows) in places.items():
+            extent = self.extents[number]
             for row in rows:
                 top = self.top_m - row * side_m
                 height = min(top, extent[3]) - max(top - side_m, extent[1])
@@ -142,72 +142,56 @@ class Grid:
 
 
 def plane_of(crs: CRS | None, sources: Sequence[int]) -> str:
-    """Names the system a cell's coordinates belong to."""
+    """Names the system of a cell's coordinates."""
     return f"source {sources[0]}" if crs is None else crs.to_string()
 
 
-def extent_of(source: Source, crs: CRS | None) -> Extent:
-    """Returns what a source covers at most in the system `crs`.
+def around(extents: Iterable[Extent]) -> Extent:
+    """Returns the smallest extent around others."""
+    lefts, bottoms, rights, tops = zip(*extents, strict=True)
+    return min(lefts), min(bottoms), max(rights), max(tops)
 
-    Raises:
-        ImageryError: the source lies outside what `crs` covers.
-    """
-    border = [
-        source.georeference.transform * point
-        for point in outline(source.width_px, source.height_px)
-    ]
+
+def extent_of(source: Source, crs: CRS | None) -> Extent:
+    """Returns the extent of a source in the system `crs`."""
+    transform = source.georeference.transform
+    border = [transform * point for point in outline(source.width_px, source.height_px)]
     points = to_reference_system(source.georeference.crs, crs, border)
     if not all(math.isfinite(value) for point in points for value in point):
         raise ImageryError(
             f"{source.path} lies outside what its reference system covers; check its system (or "
             "--source.crs)."
         )
-    xs, ys = [x for x, _ in points], [y for _, y in points]
-    return min(xs), min(ys), max(xs), max(ys)
+    return around((x, y, x, y) for x, y in points)
 
 
-def lay_grids(
-    sources: Sequence[Source],
-    *,
-    size_px: int,
-    minimum_px: int,
-    wanted: int,
-    gsd_m: float,
-    notes: list[str],
-) -> list[Grid]:
-    """Lays grids over sources.
+def lay_grids(sources: Sequence[Source], settings: TilingSettings, notes: list[str]) -> list[Grid]:
+    """Lays grids over sources; refuses sources without a whole cell.
 
-    Sources whose extents touch share a grid. Its system is that of its first source where a unit
-    of it is a metre on the ground to 0.15 % (UTM, most national grids), so that imagery of the
-    wanted resolution need not be resampled; otherwise the UTM zone of the grid's middle. Its cells
-    lie at multiples of their size from the system's origin: whatever sheet shows a place, now or in
-    another run, it falls in the same cell. Only imagery of fewer than eight cells across begins its
-    grid at its own north-west corner, because it could not afford cut cells. An image without
-    georeference has a grid of its own.
-
-    Where cells are larger than `minimum_px` they shrink: in a grid that would hold none, and in
-    all grids until there are as many as `wanted`, one per split.
-
-    Raises:
-        ImageryError: no grid holds a whole cell.
+    Sources whose extents touch share a grid. Its system is that of its first source if a unit there
+    is a metre on the ground to 0.15 % (UTM, most national grids), so that imagery of the wanted
+    resolution need not be resampled, and otherwise the UTM zone of the grid's middle. Cells lie at
+    multiples of their size, so that a place falls in the same cell on every sheet and in every run.
+    Imagery of fewer than eight cells across begins its grid at its own north-west corner, because
+    it could not afford cut cells. Cells shrink, at most to the minimum of the settings, until every
+    grid has one and there is one for each split.
     """
     layouts = [_layout(sources, group) for group in _groups(sources)]
-    size = size_px
+    size, gsd_m = settings.size_px, settings.gsd_m
+    minimum_px = settings.minimum_px or size
+    wanted = len(settings.split_shares)
     while True:
-        grids = [
-            _grid(name, crs, extents, size, minimum_px, gsd_m) for name, crs, extents in layouts
-        ]
+        grids = [_grid(*layout, size, minimum_px, gsd_m) for layout in layouts]
         if size <= minimum_px or sum(grid.whole_cells() for grid in grids) >= wanted:
             break
         size = max(minimum_px, round(size * SHRINK))
     kept = [grid for grid in grids if grid.whole_cells()]
-    for grid in grids:
-        if not grid.whole_cells():
-            notes += [
-                f"{sources[i].path.name} is too small for a tile of {grid.size_px} px; it is left "
-                "out"
-                for i in grid.extents
-            ]
+    notes += [
+        f"{sources[i].path.name} is too small for a tile of {grid.size_px} px; it is left out"
+        for grid in grids
+        if not grid.whole_cells()
+        for i in grid.extents
+    ]
     if not kept:
         left, bottom, right, top = grids[0].extents[0]
         raise ImageryError(
@@ -226,10 +210,7 @@ def _grid(
     minimum_px: int,
     gsd_m: float,
 ) -> Grid:
-    left = min(e[0] for e in extents.values())
-    bottom = min(e[1] for e in extents.values())
-    right = max(e[2] for e in extents.values())
-    top = max(e[3] for e in extents.values())
+    left, bottom, right, top = around(extents.values())
     while True:
         narrow = min(right - left, top - bottom) < GLOBAL_FROM_TILES * size_px * gsd_m
         corner = (left, top) if crs is None or narrow else (0.0, 0.0)
@@ -257,7 +238,7 @@ def _layout(
 
 
 def _groups(sources: Sequence[Source]) -> list[list[int]]:
-    """Returns the numbers of sources whose extents in degrees touch, directly or through others."""
+    """Groups the numbers of sources whose extents in degrees touch, directly or through others."""
     degrees = CRS.from_epsg(4326)
     placed = [i for i, source in enumerate(sources) if source.georeference.crs is not None]
     extents = np.array([extent_of(sources[i], degrees) for i in placed]).reshape(-1, 4)
@@ -275,15 +256,10 @@ def _groups(sources: Sequence[Source]) -> list[list[int]]:
 
 
 def cells_of(grid: Grid) -> list[Cell]:
-    """Lists the cells that the sources of a grid may fill, row by row, each a block of its own.
-
-    Raises:
-        ImageryError: they are more than `MOST_CELLS`, or no files can be called as they are.
-    """
-    side_m = grid.size_px * grid.gsd_m
+    """Lists the cells that the sources of a grid may fill, row by row, each a block of its own."""
     cells = []
     for (row, column), numbers in grid.filled.items():
-        left_m, top_m = grid.left_m + column * side_m, grid.top_m - row * side_m
+        left_m, top_m = grid.left_m + column * grid.side_m, grid.top_m - row * grid.side_m
         offset_px = (column * grid.size_px, row * grid.size_px)
         if grid.crs is None:
             tile_id = f"{grid.name}-{offset_px[1]:05d}-{offset_px[0]:05d}"
@@ -296,19 +272,64 @@ def cells_of(grid: Grid) -> list[Cell]:
                 f"characters, no ':', no backslash and no line break, got {grid.name!r}; rename "
                 "the image."
             )
-        sources = tuple(sorted(numbers))
+        place = (tile_id, grid.crs, left_m, top_m, grid.size_px, grid.gsd_m)
         block = (grid.name, row, column)
-        cells.append(
-            Cell(
-                tile_id,
-                grid.crs,
-                left_m,
-                top_m,
-                grid.size_px,
-                grid.gsd_m,
-                sources,
-                offset_px,
-                block,
-            )
-        )
+        cells.append(Cell(*place, tuple(sorted(numbers)), offset_px, block))
     return cells
+
+
+WANTED_BLOCKS = 24
+DEFAULT_BLOCK_M = 400.0
+
+BlockKey = tuple[str, int, int]
+
+
+def assign_splits(
+    cells: Sequence[Cell],
+    shares: Mapping[Split, float],
+    *,
+    block_m: float | None,
+    generator: torch.Generator,
+) -> tuple[dict[str, Split], dict[str, float]]:
+    """Divides cells among the splits by their shares, in square blocks of neighbours.
+
+    Blocks of k x k cells are about `block_m` wide. A block goes to one split, so splits meet only
+    at the edges of blocks. Blocks are shuffled, sorted by size, the largest first, and handed out
+    one by one: first one to each split that has none, then to the split that is furthest behind its
+    share of the cells. k is halved until there are 24 blocks (from 400 m) without `block_m`, so
+    that the shares come out about right, or one per split with it.
+
+    Returns:
+        The split of each cell, by id, and the width in metres of the blocks of each grid.
+    """
+    wanted = WANTED_BLOCKS if block_m is None else len(shares)
+    width_m = DEFAULT_BLOCK_M if block_m is None else block_m
+    while True:
+        sides = {cell.block[0]: _side(cell, width_m) for cell in cells if cell.block is not None}
+        blocks = {cell.id: _block(cell, sides) for cell in cells}
+        if len({*blocks.values()}) >= wanted or all(side == 1 for side in sides.values()):
+            break
+        width_m /= 2
+    sizes = Counter(blocks.values())
+    keys = list(sizes)
+    order = torch.randperm(len(keys), generator=generator).tolist()
+    given = dict.fromkeys(shares, 0)
+    split_of: dict[BlockKey, Split] = {}
+    for key in sorted((keys[i] for i in order), key=lambda key: -sizes[key]):
+        split = min(shares, key=lambda name: (given[name] > 0, given[name] / shares[name]))
+        split_of[key] = split
+        given[split] += sizes[key]
+    # Cells of one grid have one size.
+    cell_of = {cell.block[0]: cell for cell in cells if cell.block is not None}
+    widths_m = {grid: sides[grid] * one.size_px * one.gsd_m for grid, one in cell_of.items()}
+    return {cell.id: split_of[blocks[cell.id]] for cell in cells}, widths_m
+
+
+def _side(cell: Cell, width_m: float) -> int:
+    return max(1, round(width_m / cell.side_m))
+
+
+def _block(cell: Cell, sides: Mapping[str, int]) -> BlockKey:
+    assert cell.block is not None
+    grid, row, column = cell.block
+    return grid, row // sides[grid], column // sides[grid]

@@ -1,4 +1,4 @@
-"""Looks at orthophotos as they come: their bands, what values mean, where they lie."""
+"""Inspects orthophotos: their bands, the range of their values, their place."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rasterio.io import DatasetReader
 from rasterio.windows import Window
 
 from skyproof.errors import ImageryError
-from skyproof.imagery.labels.text import IMAGE_FOLDER
+from skyproof.imagery.labels.image_files import IMAGE_FOLDER
 from skyproof.imagery.rasters import RASTER_SUFFIXES, open_raster
 from skyproof.imagery.settings import SourceSettings
 from skyproof.imagery.tiles.georeference import (
@@ -46,15 +46,14 @@ _INFRARED = (
 
 @dataclass(frozen=True)
 class Source:
-    """An orthophoto, looked at but not read.
+    """An orthophoto that was inspected but not read.
 
     Attributes:
         bands: the bands, from 1, taken as red, green and blue.
-        value_range: the values that become black and white; None where bytes are taken as they are.
-        alpha_is_colour: its alpha band is no mask.
+        value_range: the values that become black and white; None if bytes are taken as they are.
+        alpha_is_colour: whether its alpha band is no mask.
         nodata: the value that marks empty pixels, or None.
-        licence: as the file or the user states it.
-        notes: what was assumed or repaired, a sentence each.
+        notes: sentences about assumptions and repairs.
     """
 
     path: Path
@@ -69,28 +68,27 @@ class Source:
     notes: tuple[str, ...]
 
     @property
+    def smaller_side_m(self) -> float:
+        """The smaller of its sides on the ground."""
+        across_m, down_m = self.georeference.gsd_m
+        return min(self.width_px * across_m, self.height_px * down_m)
+
+    @property
     def is_map_tile(self) -> bool:
         """Whether its place in folders is that of a map tile."""
         return map_tile(self.path.resolve()) is not None
 
     @property
     def collection(self) -> str:
-        """Names the folder that holds it and its neighbours; of a map tile the one above z/x/y."""
+        """The name of its folder; of a map tile the folder above z/x/y."""
         return self.path.resolve().parents[2 if self.is_map_tile else 0].name
-
-
-def gdal_limits() -> rasterio.Env:
-    """Sets what to read with: a small block cache, and errors for damaged JPEGs, not grey areas."""
-    return rasterio.Env(
-        GDAL_CACHEMAX=GDAL_CACHE_MB, GDAL_ERROR_ON_LIBJPEG_WARNING=True, GDAL_NUM_THREADS="1"
-    )
 
 
 def find_images(paths: Sequence[Path]) -> list[Path]:
     """Lists the images among `paths` and in the folders among them, sorted within a folder.
 
-    Sub-folders are not searched, but for `images/` of a folder that holds none itself, and for map
-    tiles named z/x/y, of which the finest zoom is taken.
+    Of the sub-folders only `images/` and map tiles z/x/y (the finest zoom) are searched, and only
+    if the folder itself holds no image.
 
     Raises:
         ImageryError: a path is missing, a folder holds no image, or two images share a name.
@@ -141,7 +139,7 @@ def _map_tiles_in(folder: Path) -> list[Path]:
 
 @contextmanager
 def _one_sentence(path: Path) -> Iterator[None]:
-    """Makes one sentence of every failure of reading."""
+    """Turns every failure of reading into one sentence."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
@@ -155,20 +153,25 @@ def _one_sentence(path: Path) -> Iterator[None]:
 
 
 class SourceReader:
-    """Opens images when they are needed and keeps a few of them open.
+    """Opens images when they are needed and keeps a few of them open until the block ends.
 
-    Use it as a context; leaving it closes the images.
+    GDAL gets a small block cache, and damaged JPEGs are an error instead of grey areas.
     """
 
     def __init__(self) -> None:
         self._open: OrderedDict[Path, DatasetReader] = OrderedDict()
+        self._limits = rasterio.Env(
+            GDAL_CACHEMAX=GDAL_CACHE_MB, GDAL_ERROR_ON_LIBJPEG_WARNING=True, GDAL_NUM_THREADS="1"
+        )
 
     def __enter__(self) -> SourceReader:
+        self._limits.__enter__()
         return self
 
     def __exit__(self, *_: object) -> None:
         while self._open:
             self._open.popitem()[1].close()
+        self._limits.__exit__()
 
     @contextmanager
     def reading(self, path: Path) -> Iterator[DatasetReader]:
@@ -183,12 +186,7 @@ class SourceReader:
 
 
 def inspect_source(path: Path, settings: SourceSettings, reader: SourceReader) -> Source:
-    """Finds out how an image is to be read.
-
-    Raises:
-        ImageryError: it is unreadable, has a palette or complex values, no resolution, or is
-            coarser than 50 cm.
-    """
+    """Finds out how to read an image."""
     with reader.reading(path) as dataset:
         if dataset.count == 0:
             raise ImageryError(
@@ -203,27 +201,24 @@ def inspect_source(path: Path, settings: SourceSettings, reader: SourceReader) -
         notes: list[str] = []
         bands = _choose_bands(dataset, notes)
         alpha_is_colour = _alpha_is_colour(dataset, notes)
-        licence = dataset.tags().get("TIFFTAG_COPYRIGHT") or settings.licence
-        georeference = read_georeference(dataset, path, settings.gsd_m, settings.crs, notes)
         source = Source(
             path=path,
             width_px=dataset.width,
             height_px=dataset.height,
-            georeference=georeference,
+            georeference=read_georeference(dataset, path, settings.gsd_m, settings.crs, notes),
             bands=bands,
             value_range=None,
             alpha_is_colour=alpha_is_colour,
             nodata=dataset.nodata,
-            licence=licence,
+            licence=dataset.tags().get("TIFFTAG_COPYRIGHT") or settings.licence,
             notes=tuple(notes),
         )
-        if all(dataset.dtypes[band - 1] == "uint8" for band in bands):
+        kinds = [dataset.dtypes[band - 1] for band in bands]
+        if {*kinds} == {"uint8"}:
             return source
         low, high = _value_range(dataset, source)
-        notes.append(
-            f"{dataset.dtypes[bands[0] - 1]} values from {low:.6g} to {high:.6g} become 0 to 255"
-        )
-    return dataclasses.replace(source, value_range=(low, high), notes=tuple(notes))
+    note = f"{kinds[0]} values from {low:.6g} to {high:.6g} become 0 to 255"
+    return dataclasses.replace(source, value_range=(low, high), notes=(*notes, note))
 
 
 def _choose_bands(dataset: DatasetReader, notes: list[str]) -> tuple[int, int, int]:
@@ -252,29 +247,23 @@ def _choose_bands(dataset: DatasetReader, notes: list[str]) -> tuple[int, int, i
             )
         return colours[0], colours[0], colours[0]
     infrared = [band for band, kind in enumerate(dataset.colorinterp, 1) if kind in _INFRARED]
-    told = (
-        f"its band {infrared[0]} is infrared and it has no blue"
-        if infrared
-        else "it does not say which are colours"
-    )
+    why = "it does not say which are colours"
+    if infrared:
+        why = f"its band {infrared[0]} is infrared and it has no blue"
     notes.append(
         f"of {dataset.count} bands the bands {colours[0]}, {colours[1]}, {colours[2]} are shown as "
-        f"red, green and blue, because {told}"
+        f"red, green and blue, because {why}"
     )
     return colours[0], colours[1], colours[2]
 
 
 def _alpha_is_colour(dataset: DatasetReader, notes: list[str]) -> bool:
-    """Says whether a band tagged as alpha holds a picture.
-
-    Writers tag the infrared band so by default.
-    """
+    """Tells whether a band tagged as alpha holds a picture, as some writers tag infrared."""
     if ColorInterp.alpha not in dataset.colorinterp:
         return False
     band = dataset.colorinterp.index(ColorInterp.alpha) + 1
-    values = np.concatenate(
-        [dataset.read(band, window=window).ravel() for window in _probes(dataset)]
-    )
+    probes = [dataset.read(band, window=window).ravel() for window in _probes(dataset)]
+    values = np.concatenate(probes)
     full = np.iinfo(values.dtype).max if values.dtype.kind in "ui" else 1
     if np.mean((values != 0) & (values != full) & (values != 255)) < 0.5:
         return False
@@ -287,13 +276,9 @@ def _probes(dataset: DatasetReader) -> Iterator[Window]:
     if dataset.width * dataset.height <= (_PROBES * _PROBE_PX) ** 2:
         yield Window(0, 0, dataset.width, dataset.height)
         return
+    shares = [(i + 0.5) / _PROBES for i in range(_PROBES)]
     columns, rows = (
-        sorted(
-            {
-                min(max(0, length - _PROBE_PX), int(length * (i + 0.5) / _PROBES))
-                for i in range(_PROBES)
-            }
-        )
+        sorted({min(max(0, length - _PROBE_PX), int(length * share)) for share in shares})
         for length in (dataset.width, dataset.height)
     )
     for row in rows:
@@ -307,7 +292,7 @@ def _value_range(dataset: DatasetReader, source: Source) -> tuple[float, float]:
     samples = []
     whole = Window(0, 0, dataset.width, dataset.height)
     shrunken = min(dataset.height, 2048), min(dataset.width, 2048)
-    # Where all probes fall on empty ground, which is rare, the whole image has to be looked at.
+    # If all probes fall on empty ground, which is rare, the whole image has to be read.
     for windows, shape in ((_probes(dataset), None), (iter([whole]), shrunken)):
         for window in windows:
             size = shape or (int(window.height), int(window.width))
@@ -325,15 +310,13 @@ def _value_range(dataset: DatasetReader, source: Source) -> tuple[float, float]:
 def read_mask(
     dataset: DatasetReader, source: Source, window: Window, shape: tuple[int, int] | None = None
 ) -> NDArray[np.uint8]:
-    """Reads 255 where a source has data in `window`, else 0, by its alpha, mask or nodata value."""
+    """Reads 255 for pixels with data in `window`, else 0, by alpha, mask or nodata value."""
     shape = shape or (int(window.height), int(window.width))
+    colours = sorted({*source.bands})
     flags = [*dataset.mask_flag_enums[source.bands[0] - 1]]
     if flags == [MaskFlags.all_valid] or (source.alpha_is_colour and MaskFlags.nodata not in flags):
         return np.full(shape, 255, np.uint8)
     if source.alpha_is_colour or MaskFlags.nodata in flags:
-        # Empty only where every colour is: one colour alone may well have the value.
-        masks = dataset.read_masks(
-            sorted({*source.bands}), window=window, out_shape=(len({*source.bands}), *shape)
-        )
-        return masks.max(0)
+        # A pixel is empty if every colour is: one colour alone may well have the value.
+        return dataset.read_masks(colours, window=window, out_shape=(len(colours), *shape)).max(0)
     return dataset.dataset_mask(window=window, out_shape=shape)

@@ -1,6 +1,4 @@
-"""Says where a tiled folder's tiles lie: `index.geojson`, and cells read back from it."""
-
-from __future__ import annotations
+"""The places of a tiled folder's tiles: `index.geojson`, and cells read back from it."""
 
 import dataclasses
 from collections.abc import Collection, Mapping, Sequence
@@ -27,12 +25,12 @@ from skyproof.scenes.splits import Split
 GROUND_INDEX = "index.geojson"
 
 _REMEDY = "copy the whole folder again, or cut the imagery again"
-# Others of PROJ's and GDAL's names of systems are files and addresses.
+# Other names of systems, by PROJ and GDAL, are files and addresses.
 _System = Annotated[str, Meta(pattern=r"\AEPSG:[0-9]{1,6}\Z")]
 
 
-class _Properties(msgspec.Struct):
-    """What is known of a tile; its bounds are left, bottom, right and top in its system."""
+class _TileProperties(msgspec.Struct):
+    """Properties of a tile; its bounds are left, bottom, right and top in its system."""
 
     id: Name
     file: FileReference
@@ -50,12 +48,12 @@ class _Polygon(msgspec.Struct):
 
 class _Feature(msgspec.Struct):
     type: Literal["Feature"]
-    properties: _Properties
+    properties: _TileProperties
     geometry: _Polygon | None = None
 
 
 class _Features(msgspec.Struct):
-    """The file; whatever map tools added to it is passed over."""
+    """The file; members that map tools added to it are skipped."""
 
     type: Literal["FeatureCollection"]
     features: list[_Feature]
@@ -64,10 +62,7 @@ class _Features(msgspec.Struct):
 def write_ground_index(
     folder: Path, tiles: Sequence[BackgroundTile], cells: Mapping[str, Cell]
 ) -> None:
-    """Writes `index.geojson`: one polygon per georeferenced tile, WGS 84 longitude and latitude.
-
-    Properties: id, file, split, source, licence, crs, bounds (left, bottom, right, top in crs).
-    """
+    """Writes `index.geojson`: one polygon per georeferenced tile, WGS 84 longitude and latitude."""
     features: list[_Feature] = []
     for tile in tiles:
         cell = cells[tile.id]
@@ -76,39 +71,21 @@ def write_ground_index(
         border = [cell.transform * point for point in outline(cell.size_px, cell.size_px, steps=1)]
         # GeoJSON runs anticlockwise, seen from above; rows of pixels run down.
         ring = to_reference_system(cell.crs, CRS.from_epsg(4326), [*reversed(border), border[-1]])
-        properties = _Properties(
-            id=tile.id,
-            file=tile.file,
-            split=tile.split,
-            source=tile.source,
-            licence=tile.licence,
-            crs=cell.crs.to_string(),
-            bounds=cell.extent,
-        )
+        facts = (tile.id, tile.file, tile.split, tile.source, tile.licence)
+        properties = _TileProperties(*facts, cell.crs.to_string(), cell.extent)
         polygon = _Polygon("Polygon", [[(round(x, 9), round(y, 9)) for x, y in ring]])
         features.append(_Feature("Feature", properties, polygon))
     _write(folder, features)
 
 
 def copy_ground_index(folder: Path, out: Path, kept: Collection[str]) -> None:
-    """Writes the polygons of the kept tiles to another folder, or to the same one.
-
-    Args:
-        folder: a tiled folder; without an index of places nothing is written.
-
-    Raises:
-        StoredFileError: the index is damaged.
-    """
+    """Writes the polygons of the kept tiles, if there are any, to another or the same folder."""
     if (Path(folder) / GROUND_INDEX).is_file():
         _write(out, [one for one in _read(folder) if one.properties.id in kept])
 
 
-def read_places(folder: Path) -> dict[str, tuple[CRS, Extent]]:
-    """Reads per georeferenced tile its reference system and what it covers.
-
-    Raises:
-        StoredFileError: the index is missing or damaged.
-    """
+def _read_places(folder: Path) -> dict[str, tuple[CRS, Extent]]:
+    """Reads the reference system and the extent of each georeferenced tile."""
     path = Path(folder) / GROUND_INDEX
     systems: dict[str, CRS] = {}
     places: dict[str, tuple[CRS, Extent]] = {}
@@ -144,12 +121,8 @@ def _write(folder: Path, features: Sequence[_Feature]) -> None:
 def settings_like(settings: TilingSettings, folder: Path) -> TilingSettings:
     """Takes resolution and size from the tiled folder whose tiles are cut once more.
 
-    Nobody can say whether the usual values were asked for, so that only others are compared. Where
-    the tiles have several sizes the largest is taken; each is cut in its own.
-
-    Raises:
-        ConfigurationError: another resolution or size was asked for.
-        StoredFileError: `folder` is not a tiled folder.
+    Default values cannot be told from given ones, so that only others are compared. If the tiles
+    have several sizes the largest is taken; each tile is cut in its own.
     """
     background_set = BackgroundSet.open(folder)
     usual = TilingSettings()
@@ -171,12 +144,7 @@ def settings_like(settings: TilingSettings, folder: Path) -> TilingSettings:
 def cells_like(folder: Path, sources: Sequence[Source], notes: list[str]) -> list[Cell]:
     """Reads a tiled folder's georeferenced tiles as cells for other imagery of the same ground.
 
-    Ids, places, sizes and splits are those of `folder`; tiles that no source touches are among
-    them, without sources.
-
-    Raises:
-        StoredFileError: `folder` is not a tiled folder.
-        ImageryError: its tiles, or no source, have a place on the ground.
+    Ids, places, sizes and splits are those of `folder`; cells that no source touches have none.
     """
     background_set = BackgroundSet.open(folder)
     placed = [i for i, source in enumerate(sources) if source.georeference.crs is not None]
@@ -187,7 +155,7 @@ def cells_like(folder: Path, sources: Sequence[Source], notes: list[str]) -> lis
     ]
     cells: list[Cell] = []
     extents: dict[str, dict[int, Extent]] = {}
-    for name, (crs, (left, bottom, right, top)) in read_places(folder).items():
+    for name, (crs, (left, bottom, right, top)) in _read_places(folder).items():
         tile = background_set.tile(name)
         system = crs.to_string()
         if system not in extents:
@@ -197,19 +165,8 @@ def cells_like(folder: Path, sources: Sequence[Source], notes: list[str]) -> lis
             for i, e in extents[system].items()
             if e[0] < right and e[2] > left and e[1] < top and e[3] > bottom
         )
-        cells.append(
-            Cell(
-                id=tile.id,
-                crs=crs,
-                left_m=left,
-                top_m=top,
-                size_px=tile.width_px,
-                gsd_m=background_set.gsd_m,
-                sources=touching,
-                offset_px=tile.offset_px,
-                split=tile.split,
-            )
-        )
+        place = (crs, left, top, tile.width_px, background_set.gsd_m)
+        cells.append(Cell(tile.id, *place, touching, tile.offset_px, split=tile.split))
     if not cells:
         raise ImageryError(
             f"The tiles of {folder} do not say where they lie; --tiling.like needs georeferenced "

@@ -1,41 +1,29 @@
-"""Cuts orthophotos into tiles: a background set, and datasets where there are labels."""
-
-from __future__ import annotations
+"""Cuts orthophotos into tiles: a background set, and datasets if there are labels."""
 
 import dataclasses
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import UInt8
 
 from skyproof.datasets.coco import Annotation, CocoWriter
 from skyproof.errors import ImageryError
 from skyproof.files import write_json
 from skyproof.imagery.drivable import drivable_directions
+from skyproof.imagery.exposure import lit_tiles, some_of, sun_over
 from skyproof.imagery.labels.label import Labels
 from skyproof.imagery.settings import LabelSettings, SourceSettings, TilingSettings
-from skyproof.imagery.sharpness import sensor_of_tiles
-from skyproof.imagery.tiles.covers import cover_of, find_covers
-from skyproof.imagery.tiles.grid import Cell, cells_of, lay_grids
-from skyproof.imagery.tiles.lights import lit_tiles, sun_over
+from skyproof.imagery.sharpness import measure_sensor
+from skyproof.imagery.tiles.grid import Cell, assign_splits, cells_of, lay_grids
 from skyproof.imagery.tiles.placed_labels import PlacedLabels
-from skyproof.imagery.tiles.sources import (
-    Source,
-    SourceReader,
-    find_images,
-    gdal_limits,
-    inspect_source,
-)
-from skyproof.imagery.tiles.splits import assign_splits
+from skyproof.imagery.tiles.sources import Source, SourceReader, find_images, inspect_source
 from skyproof.imagery.tiles.tile_index import cells_like, settings_like, write_ground_index
-from skyproof.imagery.tiles.warp import CellImage, read_cell
+from skyproof.imagery.tiles.warp import CellImage, cover_of, find_covers, read_cell
 from skyproof.scenes.background_index import BackgroundTile, save_map, save_tile, write_index
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.sensor import Sensor
@@ -47,16 +35,14 @@ _SAME_NOTES = 8
 
 @dataclass(frozen=True)
 class TilingRecord:
-    """What was done: the content of `tiling.json`.
+    """The content of `tiling.json`.
 
     Attributes:
-        sources: per source its name, size, system, resolution, bands, range, nodata value and
-            licence.
-        blocks_m: per grid the width of its blocks.
-        counts: per split its tiles, vehicles and ignore regions.
-        empty: cells left out because more than 2 % of them is empty.
-        missing: ids of tiles of `like` that the sources do not show.
-        notes: what was assumed, repaired or left out.
+        blocks_m: width of the blocks of each grid.
+        counts: numbers of tiles, vehicles and ignore regions of each split.
+        empty: number of cells left out because more than 2 % of them is empty.
+        missing: ids of the tiles of `like` that the sources do not show.
+        notes: sentences about assumptions, repairs, and images or labels that were left out.
     """
 
     settings: dict[str, Any]
@@ -66,6 +52,20 @@ class TilingRecord:
     empty: int
     missing: list[str]
     notes: list[str]
+
+
+@dataclass
+class _Cut:
+    """The cells of the sources, and the tiles that were cut from them."""
+
+    folder: Path
+    settings: TilingSettings
+    sources: list[Source]
+    cells: list[Cell]
+    notes: list[str]
+    kept: dict[str, Cell] = field(default_factory=dict)
+    tiles: list[BackgroundTile] = field(default_factory=list)
+    annotations: dict[str, list[Annotation]] = field(default_factory=dict)
 
 
 def tile_imagery(
@@ -81,115 +81,105 @@ def tile_imagery(
     """Cuts orthophotos into a background set, and with labels into a dataset per split.
 
     It writes `index.json`, `index.geojson`, `<split>/images/*.png`, `drivable/*.png`, with masks
-    `cover/*.png`, and `tiling.json`.
+    `cover/*.png`, and `tiling.json`. Use `finished_folder` around it.
 
     Sources are read window by window: memory does not grow with them. The ground is cut into cells
-    (`lay_grids`), a cell becomes a tile where sources show 98 % of it (`read_cell`), and blocks of
+    (`lay_grids`), a cell becomes a tile if sources show 98 % of it (`read_cell`), and blocks of
     cells go to the splits (`assign_splits`). Every place of georeferenced sources lies in one cell,
     so in one split, however many of them show it. Images without georeference that show the same
     ground, such as frames of a flight, cannot be told apart from others: splits may then share it.
 
     Blur and noise of the tiles are measured, so that vehicles are drawn as sharp as they are
-    (`sensor_of_tiles`), and the exposure of each source, so that they are as bright
-    (`measure_exposure`). Where vehicles may stand is told by a simple rule (`drivable_directions`).
+    (`measure_sensor`), and the exposure of each source, so that they are as bright
+    (`measure_exposure`). A simple rule finds drivable ground (`drivable_directions`).
 
     With labels every split also gets `annotations.json`, so that its folder is a dataset to train
     on. Tiles without any vehicle stay.
 
     Args:
-        paths: images, or folders whose images (not those of their sub-folders) are taken.
-        folder: where the set goes; use `finished_folder` around it so that a half-written one does
-            not stay.
-        settings: resolution, size, blocks; with `like` the first two are those of its set.
-        labels: as read, and what counts as a vehicle.
+        paths: images, or folders of images; sub-folders are not searched.
+        settings: with `like`, resolution and size are those of its set.
+        labels: the labels, and their classes that count as vehicles.
         progress: called with (cells done, cells in all).
 
     Raises:
-        ConfigurationError: settings that cannot work, or another resolution or size than `like`
-            has.
-        ImageryError: an image that is missing, unreadable, without resolution, or coarser than 50
-            cm; images that hold no tile; labels that do not fit the imagery; a time at which the
-            sun was down over them, or one for images without georeference.
+        ConfigurationError: the settings cannot work, or differ from the resolution or size of
+            `like`.
+        ImageryError: an image is missing, unreadable, without resolution, or coarser than 50 cm;
+            the images hold no tile; the labels do not fit them; a time is given for images without
+            georeference, or the sun was down.
         StoredFileError: `like` is not a tiled folder.
         RunFolderError: the disk cannot take it.
     """
+    source_settings = source_settings or SourceSettings()
     if settings.like is not None:
         settings = settings_like(settings, settings.like)
     files = find_images(paths)
-    source_settings = source_settings or SourceSettings()
-    kept: list[tuple[Cell, BackgroundTile]] = []
-    annotations: dict[str, list[Annotation]] = {}
-    # Every cell that sources fill becomes a tile, written while it is at hand.
-    with gdal_limits(), SourceReader() as reader:
+    with SourceReader() as reader:
         sources = [inspect_source(path, source_settings, reader) for path in files]
         notes = _notes(sources)
-        cells = _cells(sources, settings, notes)
-        # A time that cannot be, or a mask that is missing, is refused before anything is cut.
+        cut = _Cut(folder, settings, sources, _cells(sources, settings, notes), notes)
+        # An impossible time or a missing mask is refused before anything is cut.
         taken = source_settings.taken
-        suns = {cell.id: sun_over(cell, taken) for cell in cells if taken and cell.sources}
+        suns = {cell.id: sun_over(cell, taken) for cell in cut.cells if taken and cell.sources}
         cover = source_settings.cover
         masks = [] if cover is None else find_covers(cover, sources, reader)
-        placed = None if labels is None else PlacedLabels(labels[0], labels[1], sources, cells)
+        placed = None if labels is None else PlacedLabels(*labels, sources, cut.cells)
         notes += placed.notes if placed is not None else []
-        for done, cell in enumerate(cells, 1):
-            image = read_cell(cell, sources, reader) if cell.sources else None
-            if image is not None:
-                if placed is not None:
-                    annotations[cell.id] = placed.on(cell, image.owner)
-                hidden = cover_of(cell, image, masks, reader) if masks else None
-                shown = [sources[number] for number in np.unique(image.owner[image.owner >= 0])]
-                vehicles = _vehicles(annotations.get(cell.id))
-                tile = _write_tile(folder, _tile(cell, shown), image, vehicles, hidden, settings)
-                kept.append((cell, tile))
+        for done, cell in enumerate(cut.cells, 1):
+            _cut_cell(cut, cell, masks, placed, reader)
             if progress is not None:
-                progress(done, len(cells))
+                progress(done, len(cut.cells))
     # Too little imagery is refused before anything else is written.
-    _refuse_too_few(len(kept), settings)
-    splits, blocks_m = _splits(kept, settings, generator)
-    tiles = _sort_into_splits(folder, [tile for _, tile in kept], splits)
-    for split in settings.split_shares:
-        if split not in splits.values():
-            notes.append(
-                f"{split} is empty: there are not enough tiles; give more imagery or a smaller size"
-            )
+    _refuse_too_few(len(cut.tiles), settings)
+    splits, blocks_m = _splits(cut, generator)
+    tiles = _sort_into_splits(cut, splits)
     if placed is not None:
-        _write_datasets(folder, tiles, annotations, settings.gsd_m)
+        _write_datasets(folder, tiles, cut.annotations, settings.gsd_m)
     sensor = _sensor(folder, tiles, settings.gsd_m, notes)
-    tiles = lit_tiles(folder, tiles, settings.gsd_m, suns, _middles(annotations), notes)
+    tiles = lit_tiles(folder, tiles, settings.gsd_m, suns, _middles(cut.annotations), notes)
     record = TilingRecord(
         settings=_settings_record(settings, source_settings),
         sources=[_describe(source) for source in sources],
         blocks_m=blocks_m,
-        counts=_counts(tiles, annotations),
-        empty=len(cells) - len(kept),
-        missing=[cell.id for cell in cells if settings.like and cell.id not in splits],
+        counts=_counts(tiles, cut.annotations),
+        empty=len(cut.cells) - len(tiles),
+        missing=[cell.id for cell in cut.cells if settings.like and cell.id not in splits],
         notes=notes,
     )
-    write_ground_index(folder, tiles, {cell.id: cell for cell, _ in kept})
+    write_ground_index(folder, tiles, cut.kept)
     write_json(folder / "tiling.json", dataclasses.asdict(record))
     # The index comes last: a folder with one is whole.
     write_index(folder, settings.gsd_m, tiles, sensor)
     return record
 
 
-def _write_tile(
-    folder: Path,
-    tile: BackgroundTile,
-    image: CellImage,
-    vehicles: torch.Tensor | None,
-    hidden: UInt8[np.ndarray, "S S"] | None,
-    settings: TilingSettings,
-) -> BackgroundTile:
-    """Writes a tile's picture and its maps of drivable and of hidden ground."""
+def _cut_cell(
+    cut: _Cut,
+    cell: Cell,
+    masks: Sequence[Source],
+    placed: PlacedLabels | None,
+    reader: SourceReader,
+) -> None:
+    """Writes a cell that sources fill as a tile, with its maps of drivable and hidden ground."""
+    image = read_cell(cell, cut.sources, reader) if cell.sources else None
+    if image is None:
+        return
+    vehicles = None
+    if placed is not None:
+        rows = cut.annotations[cell.id] = placed.on(cell, image.owner)
+        boxes = [row.box_xyxy for row in rows if not row.ignore]
+        vehicles = torch.tensor(boxes, dtype=torch.float32).reshape(-1, 4)
+    tile = _tile(cell, image, cut.sources)
     pixels = torch.from_numpy(image.pixels)
-    save_tile(folder, tile, pixels)
+    save_tile(cut.folder, tile, pixels)
+    hidden = cover_of(cell, image, masks, reader) if masks else None
     cover = None if hidden is None else torch.from_numpy(hidden)
-    directions = drivable_directions(pixels, settings.gsd_m, vehicles, cover)
-    return dataclasses.replace(
-        tile,
-        drivable=save_map(folder, "drivable", tile.id, directions),
-        cover=None if hidden is None else save_map(folder, "cover", tile.id, hidden),
-    )
+    directions = drivable_directions(pixels, cell.gsd_m, vehicles, cover)
+    drivable = save_map(cut.folder, "drivable", tile.id, directions)
+    covered = None if hidden is None else save_map(cut.folder, "cover", tile.id, hidden)
+    cut.tiles.append(dataclasses.replace(tile, drivable=drivable, cover=covered))
+    cut.kept[cell.id] = cell
 
 
 def _refuse_too_few(count: int, settings: TilingSettings) -> None:
@@ -209,42 +199,26 @@ def _refuse_too_few(count: int, settings: TilingSettings) -> None:
 
 
 def _settings_record(settings: TilingSettings, source: SourceSettings) -> dict[str, Any]:
-    named = dataclasses.asdict(settings) | {
-        "source_gsd_m": source.gsd_m,
-        "crs": source.crs,
-        "licence": source.licence,
-        "taken": source.taken,
-        "cover": source.cover,
-    }
+    of_source = dataclasses.asdict(source)
+    named = dataclasses.asdict(settings) | {"source_gsd_m": of_source.pop("gsd_m")} | of_source
     return json.loads(json.dumps(named, default=str))
 
 
 def _middles(annotations: Mapping[str, Sequence[Annotation]]) -> dict[str, torch.Tensor]:
-    """Gives the middles of each tile's labelled objects, `[n, 2]`."""
+    """Returns the middles of each tile's labelled objects, `[n, 2]`."""
     return {
         name: torch.tensor([row.centre_px for row in rows], dtype=torch.float32).reshape(-1, 2)
         for name, rows in annotations.items()
     }
 
 
-def _vehicles(annotations: Sequence[Annotation] | None) -> torch.Tensor | None:
-    """Gives the boxes of a tile's labelled vehicles, `[n, 4]`; None where nobody labelled."""
-    if annotations is None:
-        return None
-    boxes = [row.box_xyxy for row in annotations if not row.ignore]
-    return torch.tensor(boxes, dtype=torch.float32).reshape(-1, 4)
-
-
 def _sensor(
     folder: Path, tiles: Sequence[BackgroundTile], gsd_m: float, notes: list[str]
 ) -> Sensor:
-    """Measures how sharp and noisy some of the tiles are.
-
-    Where they show too few edges to tell, the usual sensor is taken.
-    """
-    backgrounds = BackgroundSet(folder, gsd_m, tiles)
+    """Measures blur and noise of some of the tiles; with too few edges the default is taken."""
     try:
-        sensor = sensor_of_tiles(backgrounds, tiles)
+        backgrounds = BackgroundSet(folder, gsd_m, tiles)
+        sensor = measure_sensor(backgrounds.pixels(tile.id) for tile in some_of(tiles))
     except ImageryError:
         notes.append(
             "too few clear edges to measure the blur; vehicles will be drawn with "
@@ -261,23 +235,16 @@ def _sensor(
 def _cells(sources: Sequence[Source], settings: TilingSettings, notes: list[str]) -> list[Cell]:
     if settings.like is not None:
         return cells_like(settings.like, sources, notes)
-    grids = lay_grids(
-        sources,
-        size_px=settings.size_px,
-        minimum_px=settings.minimum_px or settings.size_px,
-        wanted=len(settings.split_shares),
-        gsd_m=settings.gsd_m,
-        notes=notes,
-    )
-    return [cell for grid in grids for cell in cells_of(grid)]
+    return [cell for grid in lay_grids(sources, settings, notes) for cell in cells_of(grid)]
 
 
-def _tile(cell: Cell, shown: Sequence[Source]) -> BackgroundTile:
-    licences = list(dict.fromkeys(source.licence for source in shown if source.licence))
+def _tile(cell: Cell, image: CellImage, sources: Sequence[Source]) -> BackgroundTile:
+    shown = [sources[number] for number in np.unique(image.owner[image.owner >= 0])]
+    licences = dict.fromkeys(source.licence for source in shown if source.licence)
     return BackgroundTile(
         id=cell.id,
         file=f"{_WAITING}/{cell.id}.png",
-        # Which one it really is shows when all cells have been read.
+        # The real split is known when all cells have been read.
         split=SPLITS[0],
         width_px=cell.size_px,
         height_px=cell.size_px,
@@ -288,24 +255,16 @@ def _tile(cell: Cell, shown: Sequence[Source]) -> BackgroundTile:
 
 
 def _names(cell: Cell, shown: Sequence[Source]) -> list[str]:
-    """Names what a tile shows: its images, or of map tiles and others so small their folder."""
-    side_m = cell.size_px * cell.gsd_m
-    small = all(
-        min(source.width_px * gsd[0], source.height_px * gsd[1]) < side_m
-        for source in shown
-        for gsd in [source.georeference.gsd_m]
+    """Names the images of a tile, or the folder of map tiles and of several small images."""
+    folders = len(shown) > 1 and all(source.smaller_side_m < cell.side_m for source in shown)
+    names = (
+        source.collection if folders or source.is_map_tile else source.path.name for source in shown
     )
-    folders = small and len(shown) > 1
-    return list(
-        dict.fromkeys(
-            source.collection if folders or source.is_map_tile else source.path.name
-            for source in shown
-        )
-    )
+    return list(dict.fromkeys(names))
 
 
 def _notes(sources: Sequence[Source]) -> list[str]:
-    """Says what was assumed of each source, once where it is the same for many."""
+    """Names the image before each of its notes, or their number if many have the same note."""
     of_note: dict[str, list[str]] = {}
     for source in sources:
         for note in source.notes:
@@ -317,64 +276,58 @@ def _notes(sources: Sequence[Source]) -> list[str]:
     ]
 
 
-def _splits(
-    kept: Sequence[tuple[Cell, BackgroundTile]],
-    settings: TilingSettings,
-    generator: torch.Generator,
-) -> tuple[dict[str, Split], dict[str, float]]:
-    cells = [cell for cell, _ in kept]
-    if settings.like is not None:
+def _splits(cut: _Cut, generator: torch.Generator) -> tuple[dict[str, Split], dict[str, float]]:
+    cells = [*cut.kept.values()]
+    if cut.settings.like is not None:
         return {cell.id: cell.split for cell in cells if cell.split is not None}, {}
     return assign_splits(
-        cells, settings.split_shares, block_m=settings.block_m, generator=generator
+        cells, cut.settings.split_shares, block_m=cut.settings.block_m, generator=generator
     )
 
 
-def _sort_into_splits(
-    folder: Path, tiles: Sequence[BackgroundTile], splits: dict[str, Split]
-) -> list[BackgroundTile]:
-    """Moves the pictures, whose splits are known only when all cells have been read."""
+def _sort_into_splits(cut: _Cut, splits: Mapping[str, Split]) -> list[BackgroundTile]:
+    """Moves the pictures into the folders of their splits, and notes empty splits."""
     for split in SPLITS:
-        (folder / split / "images").mkdir(parents=True, exist_ok=True)
+        (cut.folder / split / "images").mkdir(parents=True, exist_ok=True)
     moved = []
-    for tile in tiles:
-        split = splits[tile.id]
-        file = f"{split}/images/{tile.id}.png"
-        (folder / tile.file).rename(folder / file)
-        moved.append(dataclasses.replace(tile, file=file, split=split))
-    (folder / _WAITING).rmdir()
+    for tile in cut.tiles:
+        file = f"{splits[tile.id]}/images/{tile.id}.png"
+        (cut.folder / tile.file).rename(cut.folder / file)
+        moved.append(dataclasses.replace(tile, file=file, split=splits[tile.id]))
+    (cut.folder / _WAITING).rmdir()
+    cut.notes += [
+        f"{split} is empty: there are not enough tiles; give more imagery or a smaller size"
+        for split in cut.settings.split_shares
+        if split not in splits.values()
+    ]
     return moved
 
 
 def _write_datasets(
     folder: Path,
     tiles: Sequence[BackgroundTile],
-    annotations: dict[str, list[Annotation]],
+    annotations: Mapping[str, Sequence[Annotation]],
     gsd_m: float,
 ) -> None:
-    with ExitStack() as stack:
-        source = {"description": "skyproof tiles"}
-        writers = {
-            split: stack.enter_context(CocoWriter(folder / split, gsd_m=gsd_m, source=source))
-            for split in SPLITS
-        }
-        for tile in tiles:
-            writers[tile.split].add_written(
-                tile.id, (tile.width_px, tile.height_px), annotations[tile.id]
-            )
+    source = {"description": "skyproof tiles"}
+    for split in SPLITS:
+        with CocoWriter(folder / split, gsd_m=gsd_m, source=source) as writer:
+            for tile in tiles:
+                if tile.split == split:
+                    size_px = (tile.width_px, tile.height_px)
+                    writer.add_written(tile.id, size_px, annotations[tile.id])
 
 
 def _counts(
-    tiles: Sequence[BackgroundTile], annotations: dict[str, list[Annotation]]
+    tiles: Sequence[BackgroundTile], annotations: Mapping[str, Sequence[Annotation]]
 ) -> dict[str, dict[str, int]]:
     counts: dict[str, dict[str, int]] = {
         split: {"tiles": 0, "vehicles": 0, "ignored": 0} for split in SPLITS
     }
     for tile in tiles:
-        rows = annotations.get(tile.id, [])
         counts[tile.split]["tiles"] += 1
-        counts[tile.split]["vehicles"] += sum(not annotation.ignore for annotation in rows)
-        counts[tile.split]["ignored"] += sum(annotation.ignore for annotation in rows)
+        for row in annotations.get(tile.id, ()):
+            counts[tile.split]["ignored" if row.ignore else "vehicles"] += 1
     return counts
 
 

@@ -1,14 +1,15 @@
-"""Resamples one cell of ground out of one or several sources, in true metres, anti-aliased."""
+"""Resamples cells of ground and masks of their cover, in true metres, anti-aliased."""
 
-from __future__ import annotations
-
+import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 from affine import Affine
+from jaxtyping import UInt8
 from numpy.typing import NDArray
 from rasterio.crs import CRS
 from rasterio.enums import Resampling
@@ -17,48 +18,46 @@ from rasterio.warp import reproject
 from rasterio.windows import Window
 from scipy.ndimage import distance_transform_edt
 
-from skyproof.imagery.tiles.georeference import outline, to_reference_system
+from skyproof.errors import ImageryError
+from skyproof.imagery.settings import SourceSettings
+from skyproof.imagery.tiles.georeference import image_name, outline, to_reference_system
 from skyproof.imagery.tiles.grid import FULL_SHARE, Cell
-from skyproof.imagery.tiles.sources import Source, SourceReader, read_mask
+from skyproof.imagery.tiles.sources import (
+    Source,
+    SourceReader,
+    find_images,
+    inspect_source,
+    read_mask,
+)
 
 SHRINKING_FROM = 1.1
 PIECE_PX = 2048
+_TINY_PX = 1e-3
 
 _Value = TypeVar("_Value", bound=np.generic)
 
-# Two sides in the same system: which one does not matter.
+# Any system serves if both sides are in the same one.
 _NO_SYSTEM = CRS.from_epsg(32631)
 
 
 @dataclass(frozen=True)
 class CellImage:
-    """What sources show of a cell.
-
-    Attributes:
-        pixels: `[3, S, S]` sRGB bytes.
-        owner: `[S, S]` the number of the source of each pixel, -1 where none has data.
-    """
+    """The picture of a cell, `[3, S, S]`, and the number of each pixel's source, -1 if empty."""
 
     pixels: NDArray[np.uint8]
     owner: NDArray[np.int32]
 
 
 def read_cell(cell: Cell, sources: Sequence[Source], reader: SourceReader) -> CellImage | None:
-    """Reads what is needed of the sources, and nothing else.
+    """Reads a cell from its sources; None if they fill less than 98 % of it.
 
-    The first source that fills the cell to 98 % gives all of it. Where none does, as on the seam of
-    two sheets, each source fills what those before it left empty. Where even all together do not,
-    there is no tile. The 2 % that may be empty take the colour of the nearest pixel that is not: a
-    black edge would be learnt as a sign. So do empty pixels of a source before it is resampled: the
-    values there mean nothing.
+    The first source that fills the cell to 98 % gives all of it. If none does, as on the seam of
+    two sheets, each source fills the pixels that those before it left empty. Empty pixels take the
+    colour of the nearest pixel with data, because a detector would learn a black edge as a sign.
 
-    Shrinking averages over the area of a pixel, because point sampling would alias fine structure
-    into coarse patterns; otherwise pixels are interpolated by cubic convolution, which copies them
-    exactly where the grids coincide. Overviews inside the files are not used: many were made by
-    point sampling.
-
-    Raises:
-        ImageryError: a source cannot be read.
+    Shrinking averages over the area of a pixel, because point sampling would alias fine structure,
+    and overviews inside the files are not used, because many were made by point sampling. Otherwise
+    pixels are interpolated by cubic convolution, which copies them exactly if the grids coincide.
     """
     parts: list[tuple[int, NDArray[np.uint8], NDArray[np.bool_]]] = []
     for number in cell.sources:
@@ -76,10 +75,10 @@ def read_cell(cell: Cell, sources: Sequence[Source], reader: SourceReader) -> Ce
 
 
 def _filled(values: NDArray[_Value], valid: NDArray[np.bool_]) -> NDArray[_Value]:
-    """Gives every pixel that is not valid the values of the nearest one that is."""
+    """Gives every invalid pixel the values of the nearest valid one."""
     if valid.all() or not valid.any():
         return values
-    # Around what is to be filled one ring of pixels is enough: none beyond it is nearer.
+    # One ring around the invalid pixels is enough: none beyond it is nearer.
     rows, columns = (np.flatnonzero(~valid.all(axis)) for axis in (1, 0))
     part = np.s_[max(0, rows[0] - 1) : rows[-1] + 2, max(0, columns[0] - 1) : columns[-1] + 2]
     nearest = distance_transform_edt(~valid[part], return_distances=False, return_indices=True)
@@ -91,11 +90,7 @@ def _filled(values: NDArray[_Value], valid: NDArray[np.bool_]) -> NDArray[_Value
 def read_source(
     source: Source, cell: Cell, reader: SourceReader
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-    """Reads a cell out of one source: `[3, S, S]` bytes and `[S, S]` where it has data.
-
-    Raises:
-        ImageryError: the source cannot be read.
-    """
+    """Reads a cell from one source: `[3, S, S]` bytes, and `[S, S]` whether it has data."""
     size = cell.size_px
     pixels = np.zeros((3, size, size), np.uint8)
     valid = np.zeros((size, size), np.bool_)
@@ -106,14 +101,8 @@ def read_source(
         for top in range(0, size, step):
             for left in range(0, size, step):
                 place = np.s_[..., top : top + step, left : left + step]
-                _fill_piece(
-                    dataset,
-                    source,
-                    cell,
-                    cell.transform * Affine.translation(left, top),
-                    pixels[place],
-                    valid[place],
-                )
+                transform = cell.transform * Affine.translation(left, top)
+                _fill_piece(dataset, source, cell, transform, pixels[place], valid[place])
     return pixels, valid
 
 
@@ -125,89 +114,109 @@ def _fill_piece(
     pixels: NDArray[np.uint8],
     valid: NDArray[np.bool_],
 ) -> None:
-    """Fills a piece of a cell from a window of the source.
-
-    `transform` takes the piece's pixels to coordinates.
-    """
+    """Fills a piece of a cell, whose pixels `transform` takes to coordinates."""
     shrink = max(cell.gsd_m / gsd for gsd in source.georeference.gsd_m)
-    # What is needed of the source, with room for the resampling.
-    window, inside = _window(
-        source, cell, transform, pixels.shape[1:], margin_px=math.ceil(2 * max(shrink, 1.0)) + 2
-    )
+    # The resampling needs a margin.
+    margin_px = math.ceil(2 * max(shrink, 1.0)) + 2
+    window, inside = _window(source, cell, transform, pixels.shape[1:], margin_px)
     if window is None:
         return
     bands = sorted({*source.bands})
     mask = read_mask(dataset, source, window)
     if not mask.any():
         return
-    # The values as bytes, or as numbers on their scale; what is no number is no data.
+    # Values that are no numbers are no data.
     values = dataset.read(bands, window=window)
     if source.value_range is not None:
         low, high = source.value_range
         values = values.astype(np.float32)
         mask = np.where(np.isfinite(values).all(0), mask, 0).astype(np.uint8)
         values = np.clip((values - low) * (255 / (high - low)), 0, 255)
+    corner = Affine.translation(window.col_off, window.row_off)
     placement = {
-        "src_transform": source.georeference.transform
-        * Affine.translation(window.col_off, window.row_off),
+        "src_transform": source.georeference.transform * corner,
         "src_crs": source.georeference.crs or _NO_SYSTEM,
         "dst_transform": transform,
         "dst_crs": cell.crs or _NO_SYSTEM,
     }
     shrinking = shrink > SHRINKING_FROM
-    # Where they are valid, taken to the ground.
-    if inside and mask.all():
-        valid[:] = True
-    else:
+    valid[:] = True
+    if not (inside and mask.all()):
         shares = np.zeros(valid.shape, np.uint8)
-        reproject(
-            mask,
-            shares,
-            resampling=Resampling.average if shrinking else Resampling.nearest,
-            **placement,
-        )
+        method = Resampling.average if shrinking else Resampling.nearest
+        reproject(mask, shares, resampling=method, **placement)
         valid[:] = shares >= 128
         if not valid.any():
             return
-    # The colours, by the same way; at the edge of what is empty its values would be mixed in.
+    # Values of empty pixels would be mixed in at their edges.
     values = _filled(values, mask > 0)
     warped = np.zeros((len(bands), *pixels.shape[1:]), values.dtype)
-    reproject(
-        values,
-        warped,
-        resampling=Resampling.average if shrinking else Resampling.cubic,
-        **placement,
-    )
+    method = Resampling.average if shrinking else Resampling.cubic
+    reproject(values, warped, resampling=method, **placement)
     if warped.dtype != np.uint8:
         warped = (np.clip(warped, 0, 255) + 0.5).astype(np.uint8)
     pixels[:] = warped[[bands.index(band) for band in source.bands]]
 
 
 def _window(
-    source: Source, cell: Cell, transform: Affine, shape: tuple[int, ...], *, margin_px: int
+    source: Source, cell: Cell, transform: Affine, shape: tuple[int, ...], margin_px: int
 ) -> tuple[Window | None, bool]:
     """Returns the part of a source that shows a piece, and whether the source reaches around it."""
     border = [transform * point for point in outline(shape[1], shape[0])]
-    places = to_reference_system(cell.crs, source.georeference.crs, border)
-    if not all(math.isfinite(value) for place in places for value in place):
+    places = np.array(to_reference_system(cell.crs, source.georeference.crs, border))
+    if not np.isfinite(places).all():
         return None, False
     inverse = ~source.georeference.transform
-    pixels = [inverse * place for place in places]
-    left = min(x for x, _ in pixels)
-    right = max(x for x, _ in pixels)
-    top = min(y for _, y in pixels)
-    bottom = max(y for _, y in pixels)
-    tiny = 1e-3
-    inside = (
-        left >= -tiny
-        and top >= -tiny
-        and right <= source.width_px + tiny
-        and bottom <= source.height_px + tiny
-    )
-    first_column = max(0, math.floor(left) - margin_px)
-    first_row = max(0, math.floor(top) - margin_px)
-    last_column = min(source.width_px, math.ceil(right) + margin_px)
-    last_row = min(source.height_px, math.ceil(bottom) + margin_px)
-    if first_column >= last_column or first_row >= last_row:
+    pixels = np.array([inverse * tuple(place) for place in places.tolist()])
+    low, high = pixels.min(0), pixels.max(0)
+    size_px = np.array([source.width_px, source.height_px])
+    inside = bool((low >= -_TINY_PX).all() and (high <= size_px + _TINY_PX).all())
+    first = np.maximum(0, np.floor(low).astype(int) - margin_px)
+    count = np.minimum(size_px, np.ceil(high).astype(int) + margin_px) - first
+    if (count <= 0).any():
         return None, False
-    return Window(first_column, first_row, last_column - first_column, last_row - first_row), inside
+    return Window(*first.tolist(), *count.tolist()), inside
+
+
+def find_covers(path: Path, sources: Sequence[Source], reader: SourceReader) -> list[Source]:
+    """Finds the mask of each source, an image of its name and size, in a folder or a single file.
+
+    The only mask of a single source may have another name. Masks of map tiles lie in folders z/x/y.
+    """
+    found = find_images([path])
+    files = {image_name(file): file for file in found}
+    if len(found) == len(sources) == 1:
+        files = {image_name(sources[0].path): found[0]}
+    masks = []
+    for source in sources:
+        file = files.get(image_name(source.path))
+        if file is None:
+            raise ImageryError(
+                f"{path} holds no mask for {source.path.name}; add an image of the same name, "
+                "black where nothing hides the ground."
+            )
+        gsd_m = max(source.georeference.gsd_m)
+        mask = inspect_source(file, SourceSettings(gsd_m=gsd_m), reader)
+        if (mask.width_px, mask.height_px) != (source.width_px, source.height_px):
+            raise ImageryError(
+                f"{file} has {mask.width_px} x {mask.height_px} pixels and {source.path.name} "
+                f"{source.width_px} x {source.height_px}; give a mask of the same size."
+            )
+        masks.append(dataclasses.replace(mask, georeference=source.georeference))
+    return masks
+
+
+def cover_of(
+    cell: Cell, image: CellImage, masks: Sequence[Source], reader: SourceReader
+) -> UInt8[np.ndarray, "S S"]:
+    """Cuts the masks as a cell's picture was cut, each pixel from the mask of its source.
+
+    Nothing hides the ground where a mask has no data. A mask of zeros and ones is scaled to 255.
+    """
+    cover = np.zeros(image.owner.shape, np.uint8)
+    for number in np.unique(image.owner[image.owner >= 0]):
+        pixels, valid = read_source(masks[number], cell, reader)
+        values = np.where(valid, pixels[0], 0).astype(np.uint8)
+        own = image.owner == number
+        cover[own] = (values * 255 if values.max() <= 1 else values)[own]
+    return cover

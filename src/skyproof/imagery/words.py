@@ -1,28 +1,22 @@
-"""What is said of imagery whose vehicles were removed."""
-
-from __future__ import annotations
+"""The printed summaries of imagery that was tiled or cleared."""
 
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from skyproof.imagery.clearing.shared_sun import KNOWN_FROM
+from skyproof.imagery.clearing.sunlight import KNOWN_FROM
+from skyproof.imagery.tiles.tiling import TilingRecord
+from skyproof.scenes.splits import SPLITS
 
 _MANY_MORE = 3
-"""A detector that finds so many times what is labelled mostly finds what is no vehicle."""
+"""A detector that finds this many times the labelled vehicles mostly raises false alarms."""
 
 _LARGE_SHARE = 0.10
 
 
 def cleared_words(record: dict[str, Any], out: Path, *, checked: bool) -> Iterator[str]:
-    """Says what was removed, what hints at mistakes, and where to look.
-
-    Args:
-        record: of `clear_backgrounds`.
-        out: the folder that was written.
-        checked: whether a detector looked at the result.
-    """
+    """Yields counts, hints at mistakes, and the sheet to inspect, from the record of a clearing."""
     totals = record["totals"]
     reasons = [f"{count} because {why}" for why, count in totals["left_out"].items()]
     left_out = ", ".join(reasons) or "none"
@@ -43,7 +37,7 @@ def cleared_words(record: dict[str, Any], out: Path, *, checked: bool) -> Iterat
 
 
 def emptied_words(splits: Sequence[str]) -> Iterator[str]:
-    """Says which splits have no tile any more."""
+    """Names the splits that have no tile any more."""
     for split in splits:
         yield (
             f"No tile of the split {split} is left; give more imagery before using this folder "
@@ -52,7 +46,7 @@ def emptied_words(splits: Sequence[str]) -> Iterator[str]:
 
 
 def light_words(record: dict[str, Any]) -> Iterator[str]:
-    """Says over how many sources the sun is known, and what is done with the others."""
+    """Counts the sources whose sun is known, overcast or unknown."""
     suns, overcast, photographs = record["suns"], record["overcast"], record["photographs"]
     sunny = [sun for name, sun in suns.items() if name not in overcast]
     if sunny:
@@ -79,12 +73,7 @@ def light_words(record: dict[str, Any]) -> Iterator[str]:
 
 
 def warnings(totals: dict[str, Any], vehicles_from: list[str]) -> list[str]:
-    """Says in a sentence each what hints that ground was smeared in place of vehicles.
-
-    Args:
-        totals: of the record of `clear_backgrounds`.
-        vehicles_from: who said where vehicles stand, also of the record.
-    """
+    """Returns sentences about signs that ground was filled in place of vehicles."""
     sentences = []
     labelled, detected = totals["labelled_removed"], totals["detected_removed"]
     if "labels" in vehicles_from and detected > _MANY_MORE * max(labelled, 1):
@@ -101,3 +90,39 @@ def warnings(totals: dict[str, Any], vehicles_from: list[str]) -> list[str]:
             "threshold (skyproof precheck --freeze)."
         )
     return sentences
+
+
+_NOTES_SHOWN = 12
+_FEW_TILES = 12
+"""Fewest test tiles: with 12, a success rate has an interval of about ±30 points."""
+
+
+def tiling_words(
+    record: TilingRecord, *, labelled: bool, like: Path | None = None
+) -> Iterator[str]:
+    """Yields notes, counts of tiles, and a warning if they are too few for a test.
+
+    `like` is the tiled folder whose ground was cut again, if any.
+    """
+    for note in record.notes[:_NOTES_SHOWN]:
+        yield f"  note: {note}"
+    if len(record.notes) > _NOTES_SHOWN:
+        yield f"  note: {len(record.notes) - _NOTES_SHOWN} more in tiling.json"
+    for split in SPLITS:
+        count = record.counts[split]
+        vehicles = ""
+        if labelled:
+            vehicles = f", {count['vehicles']} vehicles, {count['ignored']} ignore regions"
+        yield f"  {split:<10} {count['tiles']:>7} tiles{vehicles}"
+    few = record.counts["test"]["tiles"]
+    if 0 < few < _FEW_TILES and like is None:
+        yield (
+            f"  {few} test tiles are too few for a useful interval: where what a tile's vehicles "
+            f"have in common decides, a success rate stays open by ±{100 / math.sqrt(few):.0f} "
+            "points; give more imagery, or make the tiles smaller (--tiling.size-px of skyproof "
+            "ground)."
+        )
+    if like is not None:
+        yield f"  {len(record.missing)} tiles of {like} are missing here (listed in tiling.json)"
+    elif record.empty:
+        yield f"  {record.empty} cells left out: more than 2 % of each is empty"
