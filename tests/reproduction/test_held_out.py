@@ -1,11 +1,11 @@
-"""What detectors that only judge found, in tables, page and figure of a reproduction."""
+"""What is hidden from held-out detectors, in tables, page and figure of a reproduction."""
 
 import csv
 
 import pytest
 
 from skyproof.files import write_json
-from skyproof.reproduction.held_out import held_out_part, judge_names, judged_rows
+from skyproof.reproduction.held_out import detectors_and_mean, held_out_part, held_out_rows
 from skyproof.reproduction.report import write_reproduction_report
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.results.baseline import Baseline
@@ -128,8 +128,8 @@ def test_no_mean_goes_over_two_tables(folder):
     add_judges(folder, "second", {**RATES, "T-U-0": 1.0}, trained_on="train: others")
     run = Reproduction(Results.open(folder))
     for table, easr in (("first", 40), ("second", 100)):
-        rows = [row for row in judged_rows(run, table) if row["attack"] == "T-U"]
-        assert [row["detector"] for row in rows] == judge_names(run.judges[table])
+        rows = [row for row in held_out_rows(run, table) if row["attack"] == "T-U"]
+        assert [row["detector"] for row in rows] == detectors_and_mean(run.judges[table])
         assert [row["easr"] for row in rows] == [pytest.approx(easr)] * 3
     write_reproduction_report(folder)
     page = (folder / "tables" / "README.md").read_text()
@@ -149,6 +149,6 @@ def test_shapes_keep_the_magnitude_of_the_run(folder):
     write_scores(folder / "scores" / "001", {"S-O@0.7-0": 0.91})
     run = Reproduction(Results.open(folder))
     assert run.best["S-O"] == "S-O@0.4"
-    attacks = {row["attack"] for row in judged_rows(run, "real")}
+    attacks = {row["attack"] for row in held_out_rows(run, "real")}
     assert "S-O@0.4" in attacks
     assert "S-O@0.7" not in attacks

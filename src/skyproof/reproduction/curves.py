@@ -109,7 +109,7 @@ def practicality_curve(
         generator: of the bootstrap.
 
     Raises:
-        ConfigurationError: nothing of the family was scored, or a detector judged only some of its
+        ConfigurationError: nothing of the family was scored, or a detector scored only some of its
             magnitudes.
     """
     groups = _magnitudes(tiles, family)
@@ -117,10 +117,10 @@ def practicality_curve(
         raise ConfigurationError(
             f"Nothing of {family} was scored; score {family}@0.1, {family}@0.2, ..."
         )
-    judged = {magnitude: {key.detector for key, _ in group} for magnitude, group in groups.items()}
-    if len({frozenset(names) for names in judged.values()}) > 1:
+    scored = {magnitude: {key.detector for key, _ in group} for magnitude, group in groups.items()}
+    if len({frozenset(names) for names in scored.values()}) > 1:
         raise ConfigurationError(
-            f"The magnitudes of {family} were judged by different detectors; score all of them "
+            f"The magnitudes of {family} were scored by different detectors; score all of them "
             "with the same."
         )
     every = [counts for group in groups.values() for _, counts in group]

@@ -1,4 +1,4 @@
-"""Held-out detectors: they judge and no attack learnt on them (section S5.4).
+"""Held-out detectors: no attack used them (section S5.4).
 
 The counterpart of the paper's figures S2 and S3, above all for detectors that learnt from
 photographs.
@@ -37,7 +37,7 @@ from skyproof.results.results import CYCLES, RENDERER, Results
 from skyproof.words import detector_name
 
 _WEAK = 80.0
-"""Below this AP, in percent, rates rest on the vehicles that are found at all, and say little."""
+"""AP in percent below which rates rest on few vehicles."""
 
 _PREFIXES = {RENDERER: "", CYCLES: "cycles_"}
 
@@ -58,20 +58,20 @@ def held_out_part(run: Reproduction) -> Part:
     hidden: list[dict[str, Any]] = []
     for table in run.held_out:
         own_baselines = _baselines(run, table)
-        own_hidden = judged_rows(run, table)
+        own_hidden = held_out_rows(run, table)
         blocks += _table(run, table, own_baselines, own_hidden)
         baselines += own_baselines
         hidden += own_hidden
     return Part([Table("judges_clean", baselines), Table("judges", hidden)], blocks)
 
 
-def judge_names(results: Results) -> list[str]:
-    """Lists those who judge in one table, their mean last where there is one."""
+def detectors_and_mean(results: Results) -> list[str]:
+    """The detectors of one table, their mean last if there are several."""
     return [*results.detectors, *([MEAN] if len(results.detectors) > 1 else [])]
 
 
-def judged_rows(run: Reproduction, table: str) -> list[dict[str, Any]]:
-    """Gives per attack and judge of a table the rates under every renderer, in percent.
+def held_out_rows(run: Reproduction, table: str) -> list[dict[str, Any]]:
+    """Gives per attack and detector of a table the rates under every renderer, in percent.
 
     Textures come first, then shapes and combinations at the PM* that they have in the run, then
     random textures.
@@ -82,30 +82,30 @@ def judged_rows(run: Reproduction, table: str) -> list[dict[str, Any]]:
     drawn = [name for name in run.names if re.fullmatch("R-[A-Za-z]+", name)]
     names = dict.fromkeys([*learnt, *run.best.values(), *drawn])
     return [
-        {"table": table, "detector": judge, "attack": name, **_rates(results, name, judge)}
+        {"table": table, "detector": detector, "attack": name, **_rates(results, name, detector)}
         for name in names
         if name in scored
-        for judge in judge_names(results)
+        for detector in detectors_and_mean(results)
     ]
 
 
-def _rates(results: Results, name: str, judge: str) -> dict[str, Any]:
+def _rates(results: Results, name: str, detector: str) -> dict[str, Any]:
     rates: dict[str, Any] = {}
     for renderer, prefix in _PREFIXES.items():
         if renderer in results.renderers:
-            found = rates_under(results, CamouflageName.read(name), renderer, judge)
+            found = rates_under(results, CamouflageName.read(name), renderer, detector)
             rates |= {f"{prefix}{key}": value for key, value in found.items()}
     return rates
 
 
 def _baselines(run: Reproduction, table: str) -> list[dict[str, Any]]:
-    """Gives per judge what it finds without camouflage: in its validation, when checked, here."""
+    """The baselines of each detector: in its validation, in its precheck, and here."""
     results = run.held_out[table]
     records = read_prechecks(Layout(results.folder).detectors)
     rows = []
-    for judge in results.detectors:
-        facts = results.cards.get(judge)
-        told = {"table": table, "detector": judge}
+    for detector in results.detectors:
+        facts = results.cards.get(detector)
+        told = {"table": table, "detector": detector}
         told["trained_on"] = facts.trained_on if facts else ""
         if facts and "ap_centre_1m" in facts.validation:
             rows.append(
@@ -117,8 +117,10 @@ def _baselines(run: Reproduction, table: str) -> list[dict[str, Any]]:
                     "ap": 100 * facts.validation["ap_centre_1m"],
                 }
             )
-        checked = [check for check in records[judge].sets if check.real] if judge in records else []
-        here = [check for check in results.baselines if check.detector == judge]
+        checked = (
+            [check for check in records[detector].sets if check.real] if detector in records else []
+        )
+        here = [check for check in results.baselines if check.detector == detector]
         rows += [{**told, **_check(check)} for check in (*checked, *here)]
     return rows
 
@@ -176,13 +178,13 @@ def _table(
             parts += [
                 f"{where}: EASR, net of random draws, and net of the best control."
                 + (f" Set against a single draw: {single}." if single else ""),
-                _grid(judge_names(results), hidden, prefix),
+                _grid(detectors_and_mean(results), hidden, prefix),
             ]
     return [part for part in parts if part]
 
 
 def _doubts(baselines: Sequence[Mapping[str, Any]]) -> str:
-    """Says who hardly sees the vehicles of this run as they are."""
+    """Names the detectors with a weak baseline on this run's vehicles."""
     weak = [
         f"{detector_name(row['detector'])} ({number(row['ap'], 0)} % on {row['set']})"
         for row in baselines
@@ -197,7 +199,7 @@ def _doubts(baselines: Sequence[Mapping[str, Any]]) -> str:
     )
 
 
-def _grid(judges: Sequence[str], hidden: Sequence[Mapping[str, Any]], prefix: str) -> Grid:
+def _grid(detectors: Sequence[str], hidden: Sequence[Mapping[str, Any]], prefix: str) -> Grid:
     known = {"easr": "EASR", "net_easr": "net", "net_strongest_control_easr": "net of best control"}
     # What no attack has, such as chosen controls on Cycles, gets no column.
     rates = {
@@ -208,12 +210,19 @@ def _grid(judges: Sequence[str], hidden: Sequence[Mapping[str, Any]], prefix: st
     cells = {(row["attack"], row["detector"]): row for row in hidden}
     names = dict.fromkeys(row["attack"] for row in hidden if row.get(f"{prefix}easr") is not None)
     header = [
-        f"{detector_name(judge)}: {words}" if number == 0 else words
-        for judge in judges
+        f"{detector_name(detector)}: {words}" if number == 0 else words
+        for detector in detectors
         for number, words in enumerate(rates.values())
     ]
     rows = [
-        [name, *(bracket(cells[name, judge], prefix + key) for judge in judges for key in rates)]
+        [
+            name,
+            *(
+                bracket(cells[name, detector], prefix + key)
+                for detector in detectors
+                for key in rates
+            ),
+        ]
         for name in names
     ]
     return Grid(["attack", *header], rows)
@@ -225,7 +234,7 @@ _LOWEST = -30.0
 
 
 def _figure(
-    table: str, judges: Sequence[str], hidden: Sequence[Mapping[str, Any]]
+    table: str, detectors: Sequence[str], hidden: Sequence[Mapping[str, Any]]
 ) -> dict[str, bytes]:
     """Draws a panel per detector of a table, bars with intervals; SVG and PNG by file ending."""
     rows = [row for row in hidden if not row["attack"].startswith("R-")]
@@ -235,17 +244,17 @@ def _figure(
     with plt.rc_context(STYLE | {"svg.hashsalt": f"judges-{table}"}):
         figure, grid = plt.subplots(
             1,
-            len(judges),
-            figsize=(2.2 + 4.4 * len(judges), 1.7 + (0.16 + 0.17 * len(shown)) * len(attacks)),
+            len(detectors),
+            figsize=(2.2 + 4.4 * len(detectors), 1.7 + (0.16 + 0.17 * len(shown)) * len(attacks)),
             sharey=True,
             sharex=True,
             squeeze=False,
             layout="constrained",
         )
-        for axes, judge in zip(grid[0], judges, strict=True):
+        for axes, detector in zip(grid[0], detectors, strict=True):
             for number, key in enumerate(shown):
-                _bars(axes, [cells[name, judge] for name in attacks], key, number, len(shown))
-            axes.set_title(detector_name(judge), loc="left", fontsize=12, fontweight="bold")
+                _bars(axes, [cells[name, detector] for name in attacks], key, number, len(shown))
+            axes.set_title(detector_name(detector), loc="left", fontsize=12, fontweight="bold")
             axes.axvline(0, color=GREY, linewidth=1)
             axes.set_xlabel("EASR, % of the vehicles found before")
             axes.grid(axis="x", color="#e3e7eb")

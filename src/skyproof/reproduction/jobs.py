@@ -66,7 +66,7 @@ class Jobs:
         cycles_batches: random controls and finished attacks on all detectors, as in the paper's
             "Blender" column.
         weather_batches: random controls, and attacks in clear and in all weathers.
-        judged_batches: everything but copies, for held-out detectors.
+        held_out_batches: everything but copies, for held-out detectors.
         repeated: attacks that every further training repeats.
         repeated_batches: random controls and these attacks.
     """
@@ -98,7 +98,7 @@ class Jobs:
         self.repeated = tuple(job for job in jobs if not job.name.variant)
         finished = [job.name for job in self.repeated]
         self.batches = self._batched(self.controls, folders, late)
-        self.judged_batches = self._batched(self.controls, finished, late)
+        self.held_out_batches = self._batched(self.controls, finished, late)
         self.repeated_batches = self._batched(self.controls, finished)
         self.cycles_batches = self._batched(
             self._on_cycles(drawn),

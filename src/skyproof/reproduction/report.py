@@ -85,7 +85,7 @@ def paper_part(results: Results) -> PaperPart | None:
     """Sets a run beside the paper; None where too few of the paper's attacks were scored.
 
     Raises:
-        ConfigurationError: the magnitudes of a shape were judged by different detectors.
+        ConfigurationError: the magnitudes of a shape were scored by different detectors.
     """
     run = Reproduction(results)
     if not run.comparable:

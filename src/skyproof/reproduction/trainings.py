@@ -335,11 +335,11 @@ def _refuse_other_vehicles(own: Training, training: Training) -> None:
             f"Training {training.number} was not scored on the vehicles and tiles of training "
             f"{own.number}; score both on the same scenes."
         )
-    judges = [sorted({key.detector for key in each.tiles.series}) for each in (own, training)]
-    if judges[0] != judges[1]:
+    detectors = [sorted({key.detector for key in each.tiles.series}) for each in (own, training)]
+    if detectors[0] != detectors[1]:
         raise ConfigurationError(
-            f"Training {training.number} was scored by {', '.join(judges[1])}, but training "
-            f"{own.number} by {', '.join(judges[0])}; train and score every detector as often."
+            f"Training {training.number} was scored by {', '.join(detectors[1])}, but training "
+            f"{own.number} by {', '.join(detectors[0])}; train and score every detector as often."
         )
 
 

@@ -117,7 +117,7 @@ def _score_steps(
     for table, names in held_out.items():
         own = layout.table(table)
         # No table's name has a dot, so that no two steps have one name.
-        tables[f"judges.{table}."] = (own, tuple(map(own.detector, names)), jobs.judged_batches)
+        tables[f"judges.{table}."] = (own, tuple(map(own.detector, names)), jobs.held_out_batches)
     for prefix, (out, detectors, batches) in tables.items():
         for name, folders in batches.items():
             yield make.score(name, folders, detectors=detectors, out=out, prefix=prefix)
