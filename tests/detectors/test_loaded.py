@@ -58,9 +58,8 @@ def test_round_trip(folder: Path) -> None:
     original = build_detector(
         "retinanet", "slim", generator=torch.Generator().manual_seed(1)
     ).eval()
-    loaded = load_detector(folder)
-    detector = loaded.detector
-    assert loaded.card == CARD == read_card(folder)
+    detector = load_detector(folder)
+    assert detector.card == CARD == read_card(folder)
     assert not detector.training
     assert weights_digest(detector) == weights_digest(original)
     images = torch.rand(2, 3, 96, 128, generator=torch.Generator().manual_seed(0))
@@ -80,14 +79,14 @@ def test_a_network_comes_back_from_its_folder_and_fits_no_other_size(
     save_detector(tmp_path, original, card)
     loaded = load_detector(tmp_path)
     assert loaded.card == card
-    assert weights_digest(loaded.detector) == weights_digest(original)
+    assert weights_digest(loaded) == weights_digest(original)
     save_detector(tmp_path, original, replace(card, size="full"))
     with pytest.raises(StoredFileError, match=f"does not fit a full {name}"):
         load_detector(tmp_path)
 
 
 def test_digest_sees_parameters_and_buffers(stored: Path) -> None:
-    detector = load_detector(stored).detector
+    detector = load_detector(stored)
     digest = weights_digest(detector)
     buffer = next(
         buffer for name, buffer in detector.named_buffers() if name.endswith("running_mean")
