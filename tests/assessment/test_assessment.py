@@ -10,6 +10,8 @@ from skyproof.assessment.assess import assess_steps
 from skyproof.assessment.request import Request
 from skyproof.assessment.subject import Subject
 from skyproof.assessment.suite import DEMO_SUITE, read_suite, suite_digest
+from skyproof.camouflage.controls import controls
+from skyproof.detectors.answers import BlackBoxDetector
 from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS
 
 RUN = Path("run")
@@ -115,7 +117,7 @@ def test_every_attack_is_scored_beside_its_controls(folder):
 
 
 def test_a_black_box_is_attacked_by_queries_from_what_others_taught(folder):
-    its = subject(folder, gsd_m=0.125, black_box=Box())
+    its = subject(folder, gsd_m=0.125, black_box=BlackBoxDetector(Box()))
     order = ids(its)
     assert order[:3] == ["ground/tiles", "threshold/mine", "clear/clear"]
     by_id = {step.id: step for step in assess_steps(its)}

@@ -150,7 +150,7 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(
 
 def test_other_files_names_and_images(checkpoint: Checkpoint, tmp_path: Path) -> None:
     for name in ("a b", "", "../x", "mean"):
-        with pytest.raises(ConfigurationError, match="--name"):
+        with pytest.raises(ConfigurationError, match="choose another name"):
             import_detector(checkpoint, VALIDATION, tmp_path / "out", name=name)
     (tmp_path / "text.pt").write_text("not weights")
     # Nor is a file a folder that is damaged.
