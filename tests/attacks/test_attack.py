@@ -27,7 +27,6 @@ from skyproof.files import alone
 from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.render.dataset import placed_vehicles
 from skyproof.render.renderer import TorchRenderer
-from skyproof.render.settings import RenderSettings
 from skyproof.scenes.settings import SceneSettings
 from skyproof.storage import read_tensors
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
@@ -77,8 +76,7 @@ def world(tmp_path_factory):
         tmp_path_factory.mktemp("ground"), {"attack": 2}, 140, seed=0
     )
     fleet = sample_fleet(FleetSettings(count=2), generator=torch.Generator().manual_seed(0))
-    renderer = TorchRenderer(backgrounds, RenderSettings(supersampling=2))
-    return World(renderer, backgrounds, fleet, SCENES)
+    return World(TorchRenderer(backgrounds), backgrounds, fleet, SCENES)
 
 
 def start(seed=0):

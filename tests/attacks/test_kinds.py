@@ -21,7 +21,6 @@ from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.render.dataset import placed_vehicles
 from skyproof.render.frames import Frames
 from skyproof.render.renderer import TorchRenderer
-from skyproof.render.settings import RenderSettings
 from skyproof.scenes.settings import SceneSettings
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 
@@ -82,8 +81,7 @@ def world(tmp_path_factory):
     )
     fleet = sample_fleet(FleetSettings(count=3), generator=torch.Generator().manual_seed(0))
     scenes = SceneSettings(size_px=96, vehicles_maximum=1)
-    renderer = TorchRenderer(backgrounds, RenderSettings(supersampling=3))
-    return World(renderer, backgrounds, fleet, scenes)
+    return World(TorchRenderer(backgrounds), backgrounds, fleet, scenes)
 
 
 def start(name, seed=0, turn_steps=2):
