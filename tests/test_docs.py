@@ -156,6 +156,13 @@ def options_of(command):
     return [line.split()[0] for line in lines if re.match(r"  (--\w|[A-Z[])", line)]
 
 
+def unknown_options(text, known):
+    """The options in a page's sentences that no command has."""
+    code = re.findall(r"`([^`\n]*)`", prose(text))
+    named = {option for each in code for option in re.findall(r"(?<![\w-])--[a-z][\w.-]*", each)}
+    return named - known - {"--help", "--version"}
+
+
 def option_classes(command):
     """A command's dataclass, those that it inherits from, and those of its nested settings."""
     found, waiting = [], [load_command(command)]
@@ -233,6 +240,12 @@ def test_commands_in_the_docs_are_ones_that_the_program_takes():
     assert {name: lines for name, lines in refused.items() if lines} == {}
 
 
+def test_options_in_the_docs_exist():
+    known = {name.rstrip(",") for command in command_names() for name in options_of(command)}
+    unknown = {path.name: unknown_options(text, known) for path, text in pages().items()}
+    assert {name: options for name, options in unknown.items() if options} == {}
+
+
 def test_lines_fit_in_100_columns():
     assert {path.name: long_lines(text) for path, text in pages().items() if long_lines(text)} == {}
 
@@ -252,6 +265,7 @@ def test_these_checks_can_fail(tmp_path):
         "render --blue",
         "score --detectors a --out b --workers 2",
     ]
+    assert unknown_options("`--red 2`, `-b --blue`", {"--red"}) == {"--blue"}
     block = "```python\nimport skyproof as sp\nfrom skyproof.errors import Sorry\nsp.attack\n```\n"
     assert missing_names(block + "```python\nsp.surrender\n```\n") == [
         "skyproof.errors.Sorry",

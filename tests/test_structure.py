@@ -22,8 +22,8 @@ FLOORS = [
     {"measure"},
     {"attacks", "maite"},
     {"report"},
-    {"assessment"},
     {"cli"},
+    {"assessment"},
     {"main", "__init__"},
     {"generator", "reproduction", "__main__"},
 ]

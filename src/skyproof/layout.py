@@ -9,6 +9,16 @@ CLEARING_RECORD = "clearing.json"
 """The record of removed vehicles in a cleared background set."""
 
 
+class _Place:
+    """A path in a run folder."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __get__(self, layout: Layout, kind: type[Layout]) -> Path:
+        return layout.folder / self._name
+
+
 @dataclass(frozen=True)
 class Layout:
     """The paths of a run folder.
@@ -19,40 +29,19 @@ class Layout:
 
     folder: Path
 
-    @property
-    def config(self) -> Path:
-        """Every setting that decides the results."""
-        return self.folder / "config.json"
-
-    @property
-    def environment(self) -> Path:
-        """Versions, machine, commands, start and end."""
-        return self.folder / "environment.json"
-
-    @property
-    def timings(self) -> Path:
-        """Seconds per step."""
-        return self.folder / "timings.json"
-
-    @property
-    def steps(self) -> Path:
-        """Digests of the inputs of the steps that were begun."""
-        return self.folder / "steps.json"
-
-    @property
-    def tiles(self) -> Path:
-        """Tiles cut from imagery, with their vehicles."""
-        return self.folder / "tiles"
-
-    @property
-    def backgrounds(self) -> Path:
-        """The background set."""
-        return self.folder / "backgrounds"
-
-    @property
-    def fleets(self) -> Path:
-        """The four fleets."""
-        return self.folder / "fleets"
+    config = _Place("config.json")  # every setting that decides the results
+    environment = _Place("environment.json")  # versions, machine, commands, start and end
+    timings = _Place("timings.json")  # seconds per step
+    steps = _Place("steps.json")  # digests of the inputs of the steps that were begun
+    tiles = _Place("tiles")  # cut from imagery, with their vehicles
+    backgrounds = _Place("backgrounds")
+    fleets = _Place("fleets")
+    detectors = _Place("detectors")
+    camouflages = _Place("camouflages")  # optimised and random
+    scores = _Place("scores")  # score folders, all of which the report reads
+    results = _Place("results.json")  # the rows of all scores, merged
+    report = _Place("report.html")
+    verdict = _Place("verdict.json")  # accepted and rejected detectors, with a requirement
 
     def scenes(self, split: str) -> Path:
         """The scene file of a split."""
@@ -62,11 +51,6 @@ class Layout:
         """A rendered dataset: the scenes of a split, perhaps by another renderer."""
         return self.folder / "datasets" / name
 
-    @property
-    def detectors(self) -> Path:
-        """The folder of all detectors."""
-        return self.folder / "detectors"
-
     def detector(self, name: str) -> Path:
         """A detector folder."""
         return self.detectors / name
@@ -75,35 +59,10 @@ class Layout:
         """The precheck of a detector."""
         return self.detector(name) / "precheck.json"
 
-    @property
-    def camouflages(self) -> Path:
-        """The folder of all camouflages, optimised and random."""
-        return self.folder / "camouflages"
-
     def camouflage(self, name: str) -> Path:
         """A camouflage folder."""
         return self.camouflages / name
 
-    @property
-    def scores(self) -> Path:
-        """The folder of all score folders; the report reads every one."""
-        return self.folder / "scores"
-
     def score(self, name: str) -> Path:
         """A score folder."""
         return self.scores / name
-
-    @property
-    def results(self) -> Path:
-        """The rows of all scores, merged."""
-        return self.folder / "results.json"
-
-    @property
-    def report(self) -> Path:
-        """The report."""
-        return self.folder / "report.html"
-
-    @property
-    def verdict(self) -> Path:
-        """The accepted and rejected detectors, if there is a requirement."""
-        return self.folder / "verdict.json"

@@ -18,8 +18,8 @@ from skyproof.ranges import check_ranges
 # A command is imported when it is asked for: help and a wrong option must answer at once.
 COMMANDS: dict[str, dict[str, str]] = {
     "Whole runs": {
-        "demo": "skyproof.cli.demo:Demo",
-        "assess": "skyproof.cli.assess:Assess",
+        "demo": "skyproof.assessment.command:Demo",
+        "assess": "skyproof.assessment.command:Assess",
         "reproduce": "skyproof.reproduction.command:Reproduce",
         "report": "skyproof.cli.report:Report",
     },
@@ -97,39 +97,39 @@ def run(arguments: Sequence[str] | None = None, *, commands: Commands = COMMANDS
             _parse(words, commands).run()
     except SystemExit as stop:
         return stop.code if isinstance(stop.code, int) else 0
-    except SkyproofError as error:
-        say_error(str(error))
-        return 2
+    except KeyboardInterrupt:
+        say_error("stopped; give the same command again to go on.")
+        return 130
     except BrokenPipeError:
         # Whoever read our words has gone, as `head` does; nothing may be written at exit either.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return _READER_GONE
-    except OSError as error:
-        what = error.filename or "a file"
-        remedy = _REMEDIES.get(error.errno or 0, "check it and try again")
-        say_error(f"{what} cannot be used: {error.strerror or error}; {remedy}.")
-        return 2
-    except RecursionError:
-        say_error("a file given here is nested too deep; check the files, and give others.")
-        return 2
-    except MemoryError:
-        say_error(
-            "the memory is full; give smaller files, lower the batch size or the image size, or "
-            "use a machine with more of it."
-        )
-        return 2
-    except KeyboardInterrupt:
-        say_error("stopped; give the same command again to go on.")
-        return 130
-    except RuntimeError as error:
-        if not _out_of_memory(error):
+    except Exception as error:
+        sentence = _sentence(error)
+        if sentence is None:
             raise
-        say_error(
-            "the device's memory is full; lower the batch size or the image size, or give "
-            "--device cpu."
-        )
+        say_error(sentence)
         return 2
     return 0
+
+
+def _sentence(error: Exception) -> str | None:
+    """Tells a user what went wrong and what to do; None for a mistake in skyproof itself."""
+    if isinstance(error, SkyproofError):
+        return str(error)
+    if isinstance(error, OSError):
+        file = error.filename or "a file"
+        remedy = _REMEDIES.get(error.errno or 0, "check it and try again")
+        return f"{file} cannot be used: {error.strerror or error}; {remedy}."
+    if isinstance(error, RecursionError):
+        return "a file given here is nested too deep; check the files, and give others."
+    if isinstance(error, MemoryError):
+        return "the memory is full; give smaller files, or use a machine with more of it."
+    # Torch may not be loaded.
+    torch = sys.modules.get("torch")
+    if torch is not None and isinstance(error, torch.OutOfMemoryError):
+        return "the device's memory is full; give smaller images, or --device cpu."
+    return None
 
 
 def load_command(name: str, commands: Commands = COMMANDS) -> type[Any]:
@@ -195,12 +195,6 @@ def _overview(commands: Commands) -> str:
 def _summary(command: type[Any]) -> str:
     """Gives the first sentence of a command's docstring."""
     return (command.__doc__ or "").strip().split("\n")[0].rstrip(".")
-
-
-def _out_of_memory(error: RuntimeError) -> bool:
-    """Says whether torch ran out of a device's memory; torch itself may not be loaded."""
-    torch = sys.modules.get("torch")
-    return torch is not None and isinstance(error, torch.OutOfMemoryError)
 
 
 def _keep_freed_memory() -> None:

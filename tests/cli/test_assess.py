@@ -87,7 +87,7 @@ def test_a_second_call_changes_nothing_and_says_the_answer(
     monkeypatch.setattr(environment, "_now", lambda: "another second")
     again = skyproof("assess", assessed / "mine", "--out", assessed / "run", "--device", "cpu")
     assert again.code == 0
-    assert "the answer says nothing of your places" in again.out
+    assert "the result says nothing about your sites" in again.out
     assert "T-U hides " in again.out
     assert "at least one of the 2 attacks hides " in again.out
     assert bytes_of(assessed) == before

@@ -109,7 +109,7 @@ def test_corrected_imagery_goes_on_in_the_same_folder(tmp_path: Path, skyproof: 
         raise KeyboardInterrupt
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("skyproof.assessment.preparing.clear_backgrounds", stop)
+        patch.setattr("skyproof.imagery.clearing.clear.clear_backgrounds", stop)
         assert skyproof(*call, "--gsd", 0.125).code == 130
     config = json.loads((tmp_path / "run" / "config.json").read_text())
     assert (config["gsd"], config["imagery"]) == (0.125, [str(photo)])

@@ -74,7 +74,7 @@ def test_a_detector_that_failed_its_check_certifies_nothing(tmp_path, skyproof: 
     (detector / "precheck.json").write_text(json.dumps(check))
     answer = skyproof(*call, "--out", tmp_path / "cleared")
     assert answer.code == 0
-    assert "failed its own check" in answer.out
+    assert "failed its precheck" in answer.out
     assert "Not checked by a detector" in answer.out
     record = json.loads((tmp_path / "cleared" / "clearing.json").read_text())
     assert record["checked_by"] == "not checked by a detector"

@@ -139,8 +139,7 @@ def blender(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         drawn.append(out.name)
         yield Stand(backgrounds)
 
-    for place in ("cycles.opening", "assessment.preparing", "assessment.judging"):
-        monkeypatch.setattr(f"skyproof.{place}.open_renderer", opened)
+    monkeypatch.setattr("skyproof.cycles.opening.open_renderer", opened)
     monkeypatch.setattr("skyproof.assessment.assess.find_blender", lambda path: path)
     return drawn
 

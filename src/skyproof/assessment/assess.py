@@ -1,4 +1,4 @@
-"""`skyproof assess`: how robust detectors are on somebody's imagery, and whether they pass."""
+"""An assessment: its steps in their order, and the functions that run and plan it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from skyproof.assessment.request import Request
 from skyproof.assessment.run import SOURCES, Run, Step
 from skyproof.assessment.sources import source_digests
 from skyproof.assessment.subject import REFERENCE_GSD_M, Subject
-from skyproof.assessment.suite import SUITE, Suite, read_suite, suite_digest
+from skyproof.assessment.suite import SUITE, Suite, read_suite
 from skyproof.console import say
 from skyproof.cycles.blender import find_blender
 from skyproof.cycles.settings import Rendering
@@ -31,6 +31,7 @@ from skyproof.detectors.card import read_card
 from skyproof.detectors.reference_detectors import detector_folder
 from skyproof.device import choose_device
 from skyproof.errors import ConfigurationError
+from skyproof.files import file_digest
 from skyproof.ranges import check_ranges
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ _SCORED_AT_ONCE = 24
 
 
 def assess_steps(its: Subject) -> Iterator[Step]:
-    """Gives the steps from detectors and imagery to a report, in the order they are done."""
+    """The steps from detectors and imagery to a report, in their order."""
     layout, requirement = its.layout, its.request.requirement
     yield from prepare(its)
     yield fleets(its, layout)
@@ -67,7 +68,7 @@ def assess_steps(its: Subject) -> Iterator[Step]:
     if its.request.cycles:
         rendering = Rendering(renderer="cycles", blender=its.request.blender)
         scores.append(rendered(its, layout, "test", rendering=rendering))
-        # Every one takes a minute and more there: of random controls the best will do.
+        # Cycles takes a minute or more for each, so random controls are left to the best-of-N.
         finished = [folder for folder in optimised if folder.parent == layout.camouflages]
         scores.append(score(its, "test-cycles", finished, rendering=rendering))
     yield from scores
@@ -77,15 +78,15 @@ def assess_steps(its: Subject) -> Iterator[Step]:
 def run_assessment(
     request: Request, suite_file: Path = SUITE, black_box: BlackBoxDetector | None = None
 ) -> Path:
-    """Does all steps that are not finished yet, and prints the answer; returns the report's path.
+    """Does all steps that are not finished, and prints the results; returns the report's path.
 
     Args:
-        request: what is asked.
-        suite_file: the attacks.
-        black_box: a detector that only answers, in place of the request's folder.
+        request: the request.
+        suite_file: the suite of attacks.
+        black_box: a detector without weights, in place of the request's folders.
 
     Raises:
-        SkyproofError: whatever stops a step, in a sentence.
+        SkyproofError: an error stopped a step.
     """
     its = _subject(request, read_suite(suite_file), black_box)
     what = "is this vehicle detector" if len(its.names) == 1 else "are these vehicle detectors"
@@ -93,10 +94,10 @@ def run_assessment(
         "title": f"How robust {what} to camouflage?",
         **request.config(),
         "names": list(its.names),
-        "suite": {"version": its.suite.version, "sha256": suite_digest(suite_file)},
+        "suite": {"version": its.suite.version, "sha256": file_digest(suite_file)},
         SOURCES: dict(its.sources),
     }
-    # Mistakes are looked for first: they should show before an hour's work, not after it.
+    # Mistakes show before an hour's work, not after it.
     run = Run(request.out, config, [*assess_steps(its)])
     if request.cycles:
         find_blender(request.blender)
@@ -115,7 +116,7 @@ def run_assessment(
 
 
 def plan_assessment(request: Request, suite_file: Path = SUITE) -> None:
-    """Says what the request's test needs and has, and how long it takes; writes nothing."""
+    """Prints the size of the test, the size it needs, and the time; writes nothing."""
     its = _subject(request, read_suite(suite_file), None)
     for line in plan_words(its, [*assess_steps(its)]):
         say(line)
@@ -211,11 +212,11 @@ def assess(
 
 
 def _subject(request: Request, suite: Suite, black_box: BlackBoxDetector | None) -> Subject:
-    """Reads what detectors and labels say of themselves, after mistakes were looked for.
+    """Checks the request, and reads the detectors' cards.
 
     Raises:
-        ConfigurationError: what is asked cannot work; or detectors have one name or different
-            resolutions; or a black box sees another resolution than skyproof's own detectors.
+        ConfigurationError: the request cannot work, detectors share a name or differ in resolution,
+            or a black-box detector has another resolution than the reference detectors.
     """
     request.refuse_contradictions(objects=black_box is not None)
     if request.requirement is not None:
@@ -252,30 +253,26 @@ def _subject(request: Request, suite: Suite, black_box: BlackBoxDetector | None)
     )
     if black_box is not None and not its.fits_reference:
         raise ConfigurationError(
-            f"A detector that only answers is attacked with what hides from skyproof's own "
-            f"detectors, which see {REFERENCE_GSD_M} m per pixel, got {its.gsd_m:g}; give it "
-            f"images of {REFERENCE_GSD_M} m and resize them in its detect."
+            f"Attacks on a callable start from the reference detectors, which see "
+            f"{REFERENCE_GSD_M} m per pixel, got {its.gsd_m:g}; give it images of "
+            f"{REFERENCE_GSD_M} m and resize them in the function."
         )
     return its
 
 
 def _limits(its: Subject) -> Iterator[str]:
-    """Says what this run cannot say."""
+    """The limits of this run's results."""
     if not its.request.imagery:
-        yield "without --imagery, ground is drawn: the answer says nothing of your places"
+        yield "without --imagery, ground is drawn, so the result says nothing about your sites"
     elif not its.labelled:
         yield (
-            "without --labels, the threshold is not chosen on photographs, only what the detector "
-            "itself finds is cleared, and nothing tells how well it finds real vehicles"
+            "without --labels, the threshold is not chosen on photographs, only detected vehicles "
+            "are cleared, and the AP on real vehicles is unknown"
         )
     if not its.fits_reference:
         yield (
-            f"the detector sees {its.gsd_m:g} m per pixel, and skyproof's own, which begin query "
-            f"attacks on it, see {REFERENCE_GSD_M}: whether its gradients mislead attacks is not "
-            "tried"
+            f"the detector sees {its.gsd_m:g} m per pixel, and the reference detectors, which "
+            f"start query attacks, see {REFERENCE_GSD_M}: gradient masking is not tested"
         )
     elif len(its.names) > 1 and its.suite.compared:
-        yield (
-            "several detectors are attacked together: whether the gradients of one mislead attacks "
-            "is only tried where it is assessed alone"
-        )
+        yield "gradient masking is tested only if a detector is assessed alone"

@@ -19,62 +19,55 @@ from skyproof.console import progress_bar
 from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS
 from skyproof.randomness import generator_of
 
-# Seconds on one core, for the time left alone: a million pixels before one detector, an answer.
+# Estimated seconds on one core: per million pixels and detector, and per query.
 _ATTACK_S = 4.0
-_ANSWER_S = 0.03
+_QUERY_S = 0.03
 
 
 def attacks(its: Subject) -> Iterator[Step]:
-    """Gives the steps that optimise or choose camouflages by the detectors' losses and answers."""
+    """The steps that optimise camouflages and choose controls."""
     suite, seed = its.suite, its.seed
     if its.black_box is None:
         for name in suite.names:
             yield attack(its, name, suite.attack(name, seed))
     else:
         for name in suite.names:
-            taught = name.with_variant(TRANSFER)
-            yield attack(its, taught, suite.attack(name, seed), taught=True)
-            yield query(its, name, start=taught)
+            transfer = name.with_variant(TRANSFER)
+            yield attack(its, transfer, suite.attack(name, seed), transfer=True)
+            yield query(its, name, start=transfer)
     searches = [name for name in suite.chosen_controls(seed) if name.choice == "search"]
     for name in searches if its.black_box is not None else []:
         yield query(its, name)
     for name, settings in suite.chosen_controls(seed).items():
         if its.black_box is None or name not in searches:
             yield attack(its, name, settings)
-    # Of several detectors each would need query attacks of its own.
+    # Each of several detectors would need its own query attacks.
     if its.black_box is None and its.fits_reference and len(its.names) == 1:
         for name in suite.names:
             if str(name) in suite.compared:
-                taught = name.with_variant(TRANSFER)
-                yield attack(its, taught, suite.attack(name, seed), taught=True)
-                yield query(its, name.with_variant(QUERIED), start=taught)
+                transfer = name.with_variant(TRANSFER)
+                yield attack(its, transfer, suite.attack(name, seed), transfer=True)
+                yield query(its, name.with_variant(QUERIED), start=transfer)
 
 
 def attack(
-    its: Subject, name: CamouflageName, settings: AttackSettings, *, taught: bool = False
+    its: Subject, name: CamouflageName, settings: AttackSettings, *, transfer: bool = False
 ) -> Step:
-    """Optimises a camouflage, or chooses a control.
-
-    Args:
-        its: what is assessed.
-        name: of the camouflage.
-        settings: how it is made.
-        taught: whether skyproof's own detectors are attacked in place of the assessed ones.
-    """
+    """Optimises a camouflage or chooses a control; `transfer` attacks the reference detectors."""
     layout = its.layout
     folder = layout.camouflage(str(name))
     under = layout.camouflage(texture_under(name)) if name.order == "seq" else None
     best_of = its.suite.best_of
 
     def work() -> None:
-        detectors = its.references if taught else its.detectors
+        detectors = its.references if transfer else its.detectors
         maker = Maker(detectors, its.world, settings, its.device, its.palette(name))
         texture = None if under is None else load_camouflage(under)
         verb = "choose" if name.choice in ("plain", "best") else "attack"
         with progress_bar(f"{verb} {name}") as update:
             maker.make(name, folder, draws=best_of, texture=texture, progress=update)
 
-    attacked = REFERENCE_DETECTORS if taught else its.names
+    attacked = REFERENCE_DETECTORS if transfer else its.names
     images = settings.images(name, best_of) * len(attacked)
     return Step(
         "attack" if name.choice is None else "choose",
@@ -88,13 +81,7 @@ def attack(
 
 
 def query(its: Subject, name: CamouflageName, start: CamouflageName | None = None) -> Step:
-    """Seeks a camouflage by the detector's answers alone.
-
-    Args:
-        its: what is assessed.
-        name: of the camouflage.
-        start: what it begins at; a random search begins at a random draw.
-    """
+    """Makes a query attack; it starts from a finished camouflage, or from a random draw."""
     layout = its.layout
     settings = replace(its.suite.queries, seed=its.seed)
 
@@ -126,12 +113,12 @@ def query(its: Subject, name: CamouflageName, start: CamouflageName | None = Non
         work,
         (settings, str(start), its.names, its.attack_px, its.places),
         growing=True,
-        effort_s=START_S + _ANSWER_S * settings.images,
+        effort_s=START_S + _QUERY_S * settings.images,
     )
 
 
 def controls(its: Subject) -> Iterator[Step]:
-    """Gives the steps that draw random controls, and random shapes on optimised textures."""
+    """The steps that draw random controls, and random shapes on optimised textures."""
     yield _drawn(its, its.suite.random_controls())
     for texture, names in its.suite.random_shapes().items():
         yield _drawn(its, names, texture)
@@ -164,7 +151,7 @@ def _drawn(its: Subject, texts: Sequence[str], texture: str | None = None) -> St
 
 
 def scored(its: Subject, steps: Sequence[Step]) -> list[Path]:
-    """Gives the folders that attacks leave to be scored: the camouflages and their kept copies."""
+    """The camouflage folders that attacks leave, with their kept copies."""
     folders = []
     for step in steps:
         folder = its.layout.camouflage(step.name)

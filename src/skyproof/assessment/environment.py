@@ -1,4 +1,4 @@
-"""On what machine, by which versions and when a run was made."""
+"""The machine, versions and times of a run."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from skyproof.results.stored import read_environment
 _REMEDY = "move it away and give the same command again"
 
 _LONGEST_COMMAND = 2000
-"""A shell may have put hundreds of photographs into it."""
+"""A command may name hundreds of photographs."""
 
 
 def write_environment(path: Path, device: str, seed: object) -> None:
-    """Writes it at the start of a run; the commands of earlier starts are kept."""
+    """Writes the record at the start of a run; the commands of earlier starts are kept."""
     stored = read_environment(path)
     command = " ".join(["skyproof", *sys.argv[1:]])
     if len(command) > _LONGEST_COMMAND:
@@ -49,7 +49,7 @@ def write_environment(path: Path, device: str, seed: object) -> None:
 
 
 def note_end(path: Path) -> None:
-    """Adds when the run ended."""
+    """Adds the end of the run."""
     noted: dict[str, Any] = read_document(path, dict[str, Any], _REMEDY)
     write_json(path, {**noted, "finished": _now()})
 
@@ -66,10 +66,7 @@ def _version(package: str) -> str | None:
 
 
 def _commit() -> str | None:
-    """Returns the commit of a source checkout.
-
-    It is None for an installed package, even for one inside a user's own checkout.
-    """
+    """The commit of a source checkout; None for an installed package, also in a user's checkout."""
     here = Path(__file__).resolve().parents[3]
     if not (here / ".git").exists():
         return None

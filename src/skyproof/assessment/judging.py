@@ -9,38 +9,28 @@ from pathlib import Path
 from skyproof.assessment.preparing import RENDER_S, VEHICLE_CLASSES, YOURS
 from skyproof.assessment.run import START_S, Step
 from skyproof.assessment.subject import Subject
-from skyproof.camouflage.folder import load_camouflage
-from skyproof.console import progress_bar, say
-from skyproof.cycles.opening import open_renderer
+from skyproof.cli.precheck import Precheck
+from skyproof.cli.score import Score
+from skyproof.console import say
 from skyproof.cycles.settings import Rendering
-from skyproof.datasets.dataset import Dataset
 from skyproof.errors import ConfigurationError, ImageryError
 from skyproof.files import write_json
-from skyproof.measure.frames import read_frames
-from skyproof.measure.patterns import add_patterns
-from skyproof.measure.precheck import precheck as measure_precheck
-from skyproof.measure.precheck_words import lines
-from skyproof.measure.score import score as measure_score
-from skyproof.measure.views import SceneChange, SceneRenderer
 from skyproof.report.report import write_report
-from skyproof.results.precheck import write_precheck
 from skyproof.results.statistics.acceptance import Requirement, fewest_tiles
 from skyproof.results.statistics.planning import tiles_to_show
-from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.scene import read_scenes
-from skyproof.vehicles.fleet import Fleet
 from skyproof.words import percent
 
-# Seconds on one core for a million pixels before one detector; for the time left alone.
+# Estimated seconds on one core per million pixels and detector.
 _DETECT_S = 3.0
 
 _TRIALS = 62
-"""Changes that a precheck tries on every scene, but for random controls."""
+"""Changes of every scene in a precheck, without random controls."""
 _CONTROLS = 6
 
 
 def enough_ground(its: Subject, requirement: Requirement) -> Step:
-    """Stops a run that could never accept its detector, before anything is attacked."""
+    """Stops a run without enough test tiles for a verdict, before anything is attacked."""
     scenes, out = its.layout.scenes("test"), its.layout.folder / "enough.json"
 
     def work() -> None:
@@ -63,7 +53,7 @@ def enough_ground(its: Subject, requirement: Requirement) -> Step:
 
 
 def refuse_what_scenes_cannot_show(requirement: Requirement, scenes: int) -> None:
-    """Refuses a requirement that takes more tiles than there are test scenes.
+    """Refuses a requirement that needs more tiles than there are test scenes.
 
     Raises:
         ConfigurationError: no imagery could be enough.
@@ -79,29 +69,24 @@ def refuse_what_scenes_cannot_show(requirement: Requirement, scenes: int) -> Non
 
 
 def precheck(its: Subject) -> Step:
-    """Tells whether the detectors are worth attacking."""
+    """Prechecks the detectors."""
     layout, suite = its.layout, its.suite
     scenes = min(suite.check_scenes, suite.test_images)
     frames = _frames(its)
 
     def work() -> None:
-        folders = [layout.detector(name) for name in its.names]
-        with progress_bar("precheck") as update:
-            records = measure_precheck(
-                its.detectors,
-                BackgroundSet.open(layout.backgrounds),
-                Fleet.load(layout.fleets / "test"),
-                read_scenes(layout.scenes("test"))[:scenes],
-                draws=suite.check_draws,
-                frames=read_frames(frames, VEHICLE_CLASSES, its.gsd_m),
-                seed=its.seed,
-                device=its.device,
-                progress=update,
-            )
-        for folder, loaded, record in zip(folders, its.detectors, records, strict=True):
-            write_precheck(folder, record)
-            for line in lines(record, loaded.card.doubts):
-                say(line)
+        Precheck(
+            tuple(layout.detector(name) for name in its.names),
+            layout.backgrounds,
+            layout.fleets / "test",
+            layout.scenes("test"),
+            scenes,
+            draws=suite.check_draws,
+            frames=frames,
+            frame_classes=VEHICLE_CLASSES,
+            seed=its.seed,
+            device=its.request.device,
+        ).run(its.detectors)
 
     images = scenes * (1 + _TRIALS + _CONTROLS * suite.check_draws)
     return Step(
@@ -122,14 +107,9 @@ def score(
     first: bool = False,
     rendering: Rendering | None = None,
 ) -> Step:
-    """Judges every detector on the test scenes, with and without camouflages.
+    """Tests every detector on the test scenes, with and without camouflages.
 
-    Args:
-        its: what is assessed.
-        title: of the score folder.
-        camouflages: their folders.
-        first: whether detectors are also checked on the labelled test tiles.
-        rendering: the renderer; the differentiable one where not given.
+    With `first` the baselines on the labelled test tiles are measured, too.
     """
     layout = its.layout
     chosen = rendering or Rendering()
@@ -138,26 +118,21 @@ def score(
     out = layout.score(title)
 
     def work() -> None:
-        drawn = Dataset.open(original)
-        backgrounds = BackgroundSet.open(layout.backgrounds)
-        fleet = Fleet.load(layout.fleets / "test")
-        worn = {folder: load_camouflage(folder) for folder in camouflages}
-        tiles = dict.fromkeys(scene.background.tile for scene in drawn.scenes)
         out.parent.mkdir(parents=True, exist_ok=True)
-        with open_renderer(chosen, backgrounds, out) as renderer, progress_bar("score") as update:
-            measure_score(
-                its.detectors,
-                out,
-                drawn.scenes,
-                [SceneChange(folder.name, camouflage) for folder, camouflage in worn.items()],
-                SceneRenderer(fleet, renderer, its.device),
-                unchanged=drawn,
-                baselines=read_frames(frames, VEHICLE_CLASSES, its.gsd_m),
-                seed=its.seed,
-                sources=list(dict.fromkeys(backgrounds.tile(name).source for name in tiles)),
-                add=lambda folder: add_patterns(folder, worn, fleet),
-                progress=update,
-            )
+        Score(
+            detectors=tuple(layout.detector(name) for name in its.names),
+            out=out,
+            original=original,
+            camouflages=tuple(camouflages),
+            backgrounds=layout.backgrounds,
+            fleet=layout.fleets / "test",
+            frames=frames,
+            frame_classes=VEHICLE_CLASSES,
+            seed=its.seed,
+            device=its.request.device,
+            renderer=chosen.renderer,
+            blender=chosen.blender,
+        ).measure(its.detectors)
 
     each_s = _looked_at_s(its, chosen.renderer)
     return Step(
@@ -192,10 +167,10 @@ def report(its: Subject, scores: Sequence[Step], requirement: Requirement | None
 
 
 def _frames(its: Subject) -> tuple[str, ...]:
-    """The labelled test tiles, on which no threshold was frozen."""
+    """The labelled test tiles, which froze no threshold."""
     return (f"{YOURS}={its.layout.tiles / 'test'}@{its.gsd_m}",) if its.labelled else ()
 
 
 def _looked_at_s(its: Subject, renderer: str) -> float:
-    """About how long it takes to draw all test scenes once, and to show them to all detectors."""
+    """Estimated seconds to render all test scenes once and run all detectors on them."""
     return (RENDER_S[renderer] + _DETECT_S * len(its.names)) * its.test_megapixels

@@ -26,15 +26,15 @@ from skyproof.results.statistics.planning import (
 from skyproof.words import percent
 
 _VEHICLES = 3
-"""In a test scene, on average."""
+"""Mean number in a test scene."""
 _EASR = 0.8
 _CORRELATION = 0.1
-"""How alike vehicles of one tile fare, where nothing was measured yet."""
+"""Assumed correlation of vehicles on one tile."""
 _HALF_WIDTH = 0.05
 
 
 def plan_words(its: Subject, steps: Sequence[Step]) -> Iterator[str]:
-    """Says what the test has, what it needs, and about how long the run takes."""
+    """Tells the size of the test, the size it needs, and the estimated time."""
     scenes = its.suite.test_images
     tiles = _test_tiles(its)
     # Scenes fall on tiles at random, so that some tiles are seen twice and some never.

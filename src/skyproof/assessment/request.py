@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -96,30 +95,23 @@ class Request:
         return {**settings, "imagery": imagery}
 
     def refuse_contradictions(self, *, objects: bool) -> None:
-        """Shows a mistake before anything is made.
+        """Refuses options that contradict each other, before anything is made.
 
         Args:
             objects: whether detectors are Python objects, of which no file is read.
 
         Raises:
-            ConfigurationError: options that contradict each other, or speak of what is not there.
+            ConfigurationError: an option needs another one, or a file is missing.
         """
-        if self.blender is not None and not self.cycles:
-            raise ConfigurationError(
-                "--blender says which Blender draws for --cycles; give --cycles too."
-            )
-        about_imagery: Mapping[str, object] = {
-            "--gsd": self.gsd,
-            "--labels": self.labels,
-            "--label-classes": self.label_classes or None,
+        needed = {
+            "--blender": (self.blender, self.cycles, "--cycles"),
+            "--gsd": (self.gsd, self.imagery, "--imagery"),
+            "--labels": (self.labels, self.imagery, "--imagery"),
+            "--label-classes": (self.label_classes, self.labels, "--labels"),
         }
-        for option, value in about_imagery.items():
-            if value is not None and not self.imagery:
-                raise ConfigurationError(f"{option} speaks of imagery; give --imagery too.")
-        if self.label_classes and self.labels is None:
-            raise ConfigurationError(
-                "--label-classes says which classes of --labels are vehicles; give --labels too."
-            )
+        for option, (value, other, name) in needed.items():
+            if value and not other:
+                raise ConfigurationError(f"{option} needs {name}; give {name} too.")
         for path in (*self.imagery, *([] if self.labels is None else [self.labels])):
             if not path.exists():
                 raise ConfigurationError(f"{path} is not there; check --imagery and --labels.")
@@ -137,7 +129,13 @@ class Request:
                 "a detector that comes with skyproof (retinanet, faster_rcnn)."
             )
         if folder.is_dir():
-            for option in self._about_checkpoints():
+            given = {
+                "--vehicle-classes": self.vehicle_classes,
+                "--architecture": self.architecture,
+                "--detector-gsd": self.detector_gsd,
+            }
+            option = next((option for option, value in given.items() if value), None)
+            if option is not None:
                 raise ConfigurationError(
                     f"{option} is for checkpoint files, and {place} is a folder, which says it "
                     "itself; leave the option out."
@@ -155,11 +153,3 @@ class Request:
         else:
             remedy = "it is called like the run folder, so choose another --out"
             require_detector_name(self.checkpoint_name, remedy)
-
-    def _about_checkpoints(self) -> Iterator[str]:
-        given: Mapping[str, object] = {
-            "--vehicle-classes": self.vehicle_classes or None,
-            "--architecture": self.architecture,
-            "--detector-gsd": self.detector_gsd,
-        }
-        return (option for option, value in given.items() if value is not None)

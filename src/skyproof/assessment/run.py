@@ -1,4 +1,4 @@
-"""A run folder and its steps: each is done once, and kept when the same run is asked for again."""
+"""A run folder and its steps: each is done once, and kept when the same run is repeated."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from skyproof.results.stored import read_environment, read_timings
 # Every run's config names one of them, and a seed.
 _RECIPES = {"suite", "preset"}
 
-# What a step costs before it works, seconds on one core.
+# Seconds that a step takes before its work, on one core.
 START_S = 5.0
 
 SOURCES = "sources_sha256"
 """Where a run's config keeps the digests of the user's files, by path."""
 
-# What the efforts are trusted for: how long steps took counts for more once it is longer than this.
+# Weight of the estimates: measured seconds count for more once they exceed this.
 _TRUSTED_S = 60.0
 
-# Where something is computed changes none of its results.
+# The place of a computation changes none of its results.
 _PLACE = ("device", "blender", "workers")
 
 
@@ -44,19 +44,18 @@ class Step:
     """One thing that a run does once.
 
     Attributes:
-        kind: what is done: "train", "attack". It groups steps in tables of times.
-        name: what it is done to; kind and name together are unique in a run.
-        outputs: files and folders that it leaves. A step whose outputs are there is finished.
-        work: does it.
-        settings: what decides its outputs, beside those of earlier steps: plain values, paths, and
-            dataclasses of them.
-        inputs: files and folders that must be there before.
-        growing: whether the outputs lie in folders that a stopped step leaves half-filled, to go on
-            from there; otherwise an output appears whole or not at all.
-        renewed: whether the step is done again when its settings changed or an input is newer than
-            its outputs. All other steps are kept for good.
-        extra: whether the same run may be asked for without it, after it was done.
-        effort_s: about how long it takes on one core; only the share of the whole counts.
+        kind: kind of work, such as "train"; it groups steps in tables of times.
+        name: object of the work; kind and name together are unique in a run.
+        outputs: files and folders that the step leaves. A step is finished if they exist.
+        work: function that does the work.
+        settings: plain values, paths and dataclasses that decide the outputs, beside those of
+            earlier steps.
+        inputs: files and folders that must exist before.
+        growing: whether a stopped step leaves half-filled folders from which it resumes; otherwise
+            an output appears whole or not at all.
+        renewed: whether changed settings or newer inputs repeat the step. Other steps are kept.
+        extra: whether the same run may be repeated without this step.
+        effort_s: estimated seconds on one core; only the share of the whole counts.
     """
 
     kind: str
@@ -78,20 +77,20 @@ class Step:
 
     @property
     def title(self) -> str:
-        """Kind and name for people to read: "train retinanet", "ground"."""
+        """Kind and name for people: "train retinanet", "ground"."""
         return self.kind if self.kind == self.name else f"{self.kind} {self.name}"
 
     @property
     def places(self) -> list[Path]:
-        """Where it leaves anything that the next try would go on from."""
+        """Where a stopped step leaves files from which it resumes."""
         return [output.parent if self.growing else output for output in self.outputs]
 
     def is_begun(self) -> bool:
-        """Says whether it has left anything that the next try would go on from."""
+        """Whether it has left files from which it resumes."""
         return any(place.exists() for place in self.places)
 
     def is_finished(self) -> bool:
-        """Says whether its outputs are there, and new enough where that counts."""
+        """Whether its outputs exist, and are new enough if the step is renewed."""
         if not all(output.exists() for output in self.outputs):
             return False
         if not self.renewed:
@@ -101,7 +100,7 @@ class Step:
 
 
 class _Kept(msgspec.Struct, frozen=True):
-    """What `steps.json` keeps of a step: the digest of its settings, and where it left anything."""
+    """The record of a step in `steps.json`: the digest of its settings, and its places."""
 
     settings_sha256: str
     places: list[str] = []
@@ -111,17 +110,14 @@ class _Kept(msgspec.Struct, frozen=True):
 class Run:
     """A new run, or the same run again; nothing is written before `begun`.
 
-    A run may be given other settings as long as they change nothing of its finished steps: a
-    mistake that shows late is corrected, and what was made before it is kept.
+    A run may have other settings as long as its finished steps do not depend on them, so that a
+    late mistake can be corrected.
 
-    Args:
-        folder: the run folder; made if missing.
-        config: everything that decides the results, as plain JSON values.
-        steps: what is to be done, in this order.
+    Args: folder: run folder; made if missing. config: everything that decides the results, as plain
+    JSON values. steps: steps in their order.
 
-    Raises:
-        RunFolderError: the folder holds another run or something else.
-        StoredFileError: a record of the folder is damaged.
+    Raises: RunFolderError: the folder holds another run or something else. StoredFileError: a
+    record of the folder is damaged.
     """
 
     def __init__(self, folder: Path, config: Mapping[str, Any], steps: Sequence[Step]) -> None:
@@ -134,18 +130,18 @@ class Run:
 
     @contextmanager
     def begun(self, device: str) -> Iterator[Hold]:
-        """Locks the folder, notes what was asked on what machine, and at the end that it ended.
+        """Locks the folder, and notes the request, the machine and the end.
 
         Raises:
-            RunFolderError: somebody else works there, or it cannot be written.
+            RunFolderError: another process works there, or it cannot be written.
         """
         with alone(self.folder) as hold:
-            # Somebody else may have begun meanwhile.
+            # Another process may have begun meanwhile.
             stored = self._refuse_another()
             if stored != self._config:
                 write_json(self._layout.config, self._config)
             self._keep(step for step in self.steps if not step.renewed)
-            # What nothing is left to do of was made by the version and until the time it tells.
+            # A finished run keeps the version and the time of its end.
             ended = "finished" in read_environment(self._layout.environment)
             ended = ended and all(map(self.is_finished, self.steps))
             if not ended:
@@ -155,7 +151,7 @@ class Run:
                 note_end(self._layout.environment)
 
     def do(self) -> None:
-        """Does every step that is not finished yet, and says how long the rest may take."""
+        """Does every step that is not finished, and estimates the time left."""
         for number, step in enumerate(self.steps, 1):
             if self.is_finished(step):
                 continue
@@ -170,18 +166,18 @@ class Run:
                 self._keep([step])
 
     def is_finished(self, step: Step) -> bool:
-        """Says whether a step is finished; one that is renewed also by what it was made of."""
+        """Whether a step is finished, and a renewed step with the same settings."""
         if not step.is_finished():
             return False
         kept = self._kept().get(step.id) if step.renewed else None
         return kept is None or kept.settings_sha256 == self._digests[step.id]
 
     def note_times(self, rows: Sequence[Mapping[str, Any]]) -> None:
-        """Writes the times of steps that others did: stage, name, seconds, largest_memory_mb."""
+        """Writes the times of steps that other processes did."""
         write_json(self._layout.timings, [dict(row) for row in rows])
 
     def _refuse_another(self) -> dict[str, Any] | None:
-        """Refuses a folder that is not this run's; returns the config that lies in it."""
+        """Refuses a folder of another run; returns the stored config."""
         if not self.folder.exists():
             return None
         if not self.folder.is_dir():
@@ -226,7 +222,7 @@ class Run:
         return stored
 
     def _changes_what_is_begun(self) -> bool:
-        """Says whether a step that has left something was made of other settings, or is gone."""
+        """Whether a begun step had other settings, or is no step of this run."""
         known = self._kept()
         begun = {step.id for step in self.steps if step.is_begun() and not step.renewed}
         if not known:
@@ -248,12 +244,12 @@ class Run:
         return kept
 
     def _keep(self, steps: Iterator[Step] | Sequence[Step]) -> None:
-        """Adds what steps are made of to `steps.json`; those that the run had before stay in it."""
+        """Adds steps to `steps.json`; earlier ones stay in it."""
         known = self._kept()
         now = {
             step.id: _Kept(
                 self._digests[step.id],
-                # What is renewed is made again where anything changes.
+                # A renewed step is repeated after any change.
                 [] if step.renewed else [self._relative(place) for place in step.places],
                 step.extra,
             )
@@ -268,7 +264,7 @@ class Run:
         return hashlib.sha256(text.encode()).hexdigest()
 
     def _plain(self, value: object) -> object:
-        """Settings as JSON values; the run folder may be moved, or called otherwise."""
+        """Settings as JSON values; the run folder may be moved or renamed."""
         if is_dataclass(value):
             return {
                 field.name: self._plain(getattr(value, field.name))
@@ -287,13 +283,13 @@ class Run:
         return str(value).replace(f"{self.folder}{os.sep}", "")
 
     def _timed(self, step: Step) -> None:
-        """Does a step's work, and keeps the time it took."""
+        """Does a step's work, and stores its time."""
         started = time.monotonic()
         try:
             step.work()
         except BaseException:
-            # A stopped step's time counts too: it goes on later from its checkpoint. Why it stopped
-            # matters more.
+            # A stopped step resumes from its checkpoint, so its time counts too. The reason of the
+            # stop matters more.
             with suppress(RunFolderError):
                 self._add_time(step, time.monotonic() - started)
             raise
@@ -315,15 +311,12 @@ class Run:
 def time_left_s(
     steps: Sequence[Step], seconds: Mapping[str, float], cores: int = 1
 ) -> float | None:
-    """Guesses how long the rest of a run will take, from the steps that are finished.
+    """Estimates the seconds that a run still takes; None before the first step has finished.
 
     Args:
-        steps: all of them.
-        seconds: by step id, how long finished steps took.
-        cores: how many steps run side by side.
-
-    Returns:
-        Seconds; None before the first step has finished.
+        steps: all steps.
+        seconds: seconds of the finished steps, by id.
+        cores: number of steps side by side.
     """
     done = [step for step in steps if step.id in seconds]
     if not done:
@@ -335,7 +328,7 @@ def time_left_s(
 
 
 def duration(seconds: float) -> str:
-    """Returns a time in words that suit its length."""
+    """A time in words."""
     minutes = round(seconds / 60)
     if minutes < 1:
         return f"{seconds:.0f} s"

@@ -1,4 +1,4 @@
-"""What a run read of the user's own files, so that a file replaced since is noticed."""
+"""Digests of the user's own files, so that a replaced file is noticed."""
 
 from __future__ import annotations
 
@@ -10,17 +10,14 @@ from skyproof.detectors.reference_detectors import detector_folder
 from skyproof.files import file_digest
 
 _READ = (".txt", ".yaml", ".json", ".geojson")
-"""What is read of a folder of labels, and of a detector's; the card holds its weights' digest."""
+"""Suffixes of label files, and of a detector card, which holds the digest of the weights."""
 
 _SIDES = (".shp", ".dbf", ".prj")
-"""What belongs to a Shapefile."""
+"""The files of a Shapefile."""
 
 
 def source_digests(paths: Iterable[Path]) -> dict[str, str]:
-    """Gives the SHA-256 of checkpoints, detector folders, and labels in a file or a folder.
-
-    Records that skyproof adds to a detector's folder later, as `check` does, do not count.
-    """
+    """Computes the SHA-256 of checkpoints, detector cards, and labels in a file or a folder."""
     return {str(path): _digest(detector_folder(path)) for path in paths}
 
 

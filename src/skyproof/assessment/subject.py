@@ -1,4 +1,4 @@
-"""What an assessment works with: detectors, ground and vehicles, each loaded once."""
+"""The detectors, ground and vehicles of an assessment, each loaded once."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ from skyproof.layout import Layout
 from skyproof.scenes.places import Places
 
 REFERENCE_GSD_M = 0.125
-"""What skyproof's own detectors see, and what a detector sees that does not say it."""
+"""Resolution of the reference detectors, and of detectors that state none."""
 
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """What is assessed, and what its steps share.
+    """The detectors, ground and vehicles of an assessment, which its steps share.
 
     Attributes:
-        request: what was asked.
-        suite: the attacks.
-        names: of the detectors.
-        gsd_m: metres per pixel of what they are shown.
-        device: where they run.
+        request: the request.
+        suite: the suite of attacks.
+        names: names of the detectors.
+        gsd_m: metres per pixel of the detectors' images.
+        device: device of the detectors.
         sources: SHA-256 of the user's files, by path.
-        black_box: the detector, where it is an object that only answers; else None.
+        black_box: the detector, if it is a Python object; else None.
     """
 
     request: Request
@@ -53,17 +53,17 @@ class Subject:
 
     @property
     def layout(self) -> Layout:
-        """The run folder's places."""
+        """The paths in the run folder."""
         return Layout(self.request.out)
 
     @property
     def seed(self) -> int:
-        """Decides everything that is drawn."""
+        """Seed of everything that is drawn."""
         return self.request.seed
 
     @property
     def places(self) -> Places:
-        """Where vehicles stand: in photographs not on roofs and in trees."""
+        """Places of vehicles, which in photographs exclude roofs and trees."""
         return "drivable" if self.request.imagery else "uniform"
 
     @property
@@ -78,22 +78,22 @@ class Subject:
 
     @property
     def test_megapixels(self) -> float:
-        """A million pixels of all test images, for the time left alone."""
+        """Million pixels of all test images, to estimate time."""
         return self.suite.test_images * self.image_px**2 / 1e6
 
     @property
     def labelled(self) -> bool:
-        """Whether labels tell where vehicles stand in the imagery."""
+        """Whether the imagery has labels."""
         return self.request.labels is not None
 
     @property
     def fits_reference(self) -> bool:
-        """Whether the detectors see what skyproof's own see, so that these can teach attacks."""
+        """Whether the reference detectors have the same resolution, and can start attacks."""
         return math.isclose(self.gsd_m, REFERENCE_GSD_M)
 
     @property
     def cards(self) -> list[Path]:
-        """The cards that stand for the detectors in the run folder."""
+        """The cards of the detectors in the run folder."""
         return [self.layout.detector(name) / "detector.json" for name in self.names]
 
     def load(self, folder: Path) -> Detector:
@@ -113,13 +113,13 @@ class Subject:
 
     @cached_property
     def references(self) -> Sequence[TrainableDetector]:
-        """The detectors that come with skyproof, on the device."""
+        """The reference detectors, on the device."""
         folders = [reference_folder(name) for name in REFERENCE_DETECTORS]
         return load_ensemble(folders, self.device, self.gsd_m)
 
     @cached_property
     def world(self) -> World:
-        """What attacks see."""
+        """The ground, vehicles and renderer of attacks."""
         return World.open(
             self.layout.backgrounds,
             self.layout.fleets / "attack",
@@ -128,7 +128,7 @@ class Subject:
         )
 
     def palette(self, name: CamouflageName) -> Float[Tensor, "colours 3"] | None:
-        """Gives the ground's colours, where a camouflage takes any."""
+        """The ground's colours, for a camouflage with a palette."""
         return self._ground_palette if name.takes_palette else None
 
     @cached_property

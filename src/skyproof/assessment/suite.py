@@ -1,6 +1,6 @@
-"""Suites of attacks, each frozen under a version: that of `skyproof assess`, and the demo's.
+"""The suites of attacks of `skyproof assess` and of the demo, each frozen under a version.
 
-No option changes one: a verdict that names the version says how strong the attacks were.
+No option changes a suite, so a verdict that names the version says how strong the attacks were.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from skyproof.attacks.settings import AttackSettings, QuerySettings
 from skyproof.camouflage.controls import chosen_controls, controls
 from skyproof.camouflage.name import CamouflageName
 from skyproof.documents import read_document
-from skyproof.files import file_digest
 from skyproof.ranges import Count, WholeNumber
 
 SUITE = Path(__file__).with_name("suite.json")
@@ -41,12 +40,7 @@ class AttackSteps:
 
 @dataclass(frozen=True)
 class Expected:
-    """What an attack reached when the suite was made.
-
-    Attributes:
-        easr: share hidden.
-        low, high: its 95 % interval.
-    """
+    """The EASR of an attack when the suite was made, with its 95 % interval."""
 
     easr: float
     low: float
@@ -58,25 +52,24 @@ class Suite:
     """One version of a suite.
 
     Attributes:
-        version: its number; another suite has another.
-        attacks: camouflages that are optimised; a texture stands before the shape on it.
-        settings: how, but for the steps.
-        steps: by kind of attack.
-        draws: of every random control.
-        best_of: of how many random draws the best is taken as a control.
+        version: number of the version.
+        attacks: optimised camouflages; a texture stands before the shape on it.
+        settings: settings of all attacks, except for the steps.
+        steps: optimiser steps by kind of attack.
+        draws: number of draws of every random control.
+        best_of: number of random draws of a best-of-N control.
         queries: budget of query attacks on a black-box detector.
-        compared: attacks that are also tried by queries on a single detector that has gradients:
-            where queries hide more, its gradients mislead.
+        compared: attacks that are repeated as query attacks on a single detector with gradients; a
+            stronger query attack shows that the gradients mislead.
         attack_m: side of the images in attacks, in metres.
         image_m: side of the test images, in metres.
-        test_images: how many, each with 1 to 5 vehicles.
-        tiles: drawn per split (train, validation, attack, test), where there is no imagery.
-        vehicles: in the fleet of each split.
-        check_scenes: test scenes of the precheck; with 0 the precheck that a detector folder
-            brings along is taken.
-        check_draws: of every random control in the precheck.
-        expected: by detector that comes with skyproof and by attack, what was reached on drawn
-            ground with seed 0.
+        test_images: number of test images, each with 1 to 5 vehicles.
+        tiles: number of drawn tiles per split (train, validation, attack, test), without imagery.
+        vehicles: number of vehicles per split.
+        check_scenes: number of test scenes of the precheck; with 0 the stored precheck of the
+            detector folder is used.
+        check_draws: number of draws of every random control in the precheck.
+        expected: EASR by reference detector and attack on drawn ground with seed 0.
     """
 
     version: Count
@@ -102,19 +95,19 @@ class Suite:
         return [CamouflageName.parse(text) for text in self.attacks]
 
     def image_px(self, gsd_m: float) -> int:
-        """Returns the side of the test images, at a resolution."""
+        """The side of the test images at a resolution."""
         return _side_px(self.image_m, gsd_m)
 
     def attack_px(self, gsd_m: float) -> int:
-        """Returns the side of the images in attacks, at a resolution."""
+        """The side of the images in attacks at a resolution."""
         return _side_px(self.attack_m, gsd_m)
 
     def attack(self, name: CamouflageName, seed: int) -> AttackSettings:
-        """Returns how an attack of the suite is made."""
+        """The settings of an attack."""
         return replace(self.settings, steps=self._steps(name), seed=seed)
 
     def chosen_controls(self, seed: int) -> dict[CamouflageName, AttackSettings]:
-        """Returns the controls that the detectors choose, with the steps of the longest attack."""
+        """The controls that the detectors choose, with the steps of the longest attack."""
         steps = {
             name: self._steps(name) + (self.steps.texture if name.order == "seq" else 0)
             for name in self.names
@@ -125,12 +118,12 @@ class Suite:
         }
 
     def random_controls(self) -> list[str]:
-        """Returns the names of the random controls."""
+        """The names of the random controls."""
         names = dict.fromkeys(controls(name).random for name in self.names)
         return [str(name.with_repeat(draw)) for name in names for draw in range(self.draws)]
 
     def random_shapes(self) -> dict[str, list[str]]:
-        """Returns the names of random shapes, by the optimised texture that they are put on."""
+        """The names of random shapes, by the optimised texture under them."""
         shapes: dict[str, list[str]] = {}
         for name in self.names:
             control = controls(name).random_shape
@@ -151,13 +144,8 @@ def read_suite(path: Path = SUITE) -> Suite:
     return suite
 
 
-def suite_digest(path: Path = SUITE) -> str:
-    """Returns the SHA-256 of a suite's file."""
-    return file_digest(path)
-
-
 def texture_under(name: CamouflageName) -> str:
-    """Returns the name of the texture that a sequential attack puts its shape on."""
+    """The name of the texture under the shape of a sequential attack."""
     return str(CamouflageName("texture", name.constraints))
 
 

@@ -1,4 +1,4 @@
-"""`skyproof attack`: camouflages by name, learnt against detectors or drawn at random."""
+"""`skyproof attack`: camouflages by name, optimised against detectors or drawn at random."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from skyproof.camouflage.camouflage import Camouflage
 
 BEST_OF = 32
-"""Of how many random draws the best is taken, where it is not said."""
+"""Number of random draws of a best-of-N control."""
 
 
 @dataclass(frozen=True)
@@ -34,26 +34,23 @@ class Attack:
 
     Textures: T-U (free), or T- with Pix (blocks), Lc or Fc (few optimised or fixed colours), Ma
     (painted parts), such as T-PixFcMa. Shapes: S-O@0.4 has magnitude 0.4. Combinations:
-    C-Fc-seq@0.2, C-Fc-par@0.2. Random controls: R-PixFcMa, R-S-O@0.4, R-C-Fc@0.2. Stronger
-    controls: R-Ma_plain (best of 27 paints), R-PixFcMa_best (best of 32 draws), R-PixFcMa_search
-    (random search). "-1" at the end numbers a repeat. A stopped attack resumes with the same
-    command.
+    C-Fc-seq@0.2, C-Fc-par@0.2. Random controls: R-PixFcMa, R-S-O@0.4, R-C-Fc@0.2; they need no
+    detectors and scenes. Stronger controls: R-Ma_plain (best of 27 paints), R-PixFcMa_best (best of
+    32 draws), R-PixFcMa_search (random search). "-1" at the end numbers a repeat. A stopped attack
+    resumes with the same command.
 
     Attributes:
         names: names of the camouflages.
-        out: folder to write; every camouflage gets a folder in it.
-        detectors: detector folders, attacked together; not needed for random controls.
-        backgrounds: background set folder, whose attack split is used; not needed for random
-            controls.
-        fleet: fleet folder; not needed for random controls.
-        palette: palette file, or background set whose colours are taken; `--backgrounds` by
-            default.
-        texture: folder of the finished texture of a sequential combination, or under a random
-            shape.
+        out: folder to write, with a folder for each camouflage.
+        detectors: detector folders, attacked together.
+        backgrounds: background set folder, whose attack split is used.
+        fleet: fleet folder.
+        palette: palette file, or background set with the colours (default: `--backgrounds`).
+        texture: finished texture under a sequential combination or a random shape.
         image_px: side of the images in pixels; None is the first detector's training size.
         conditions: weather and light that scenes are drawn from, each equally likely.
-        places: places of vehicles: uniform (any), removed (of vehicles that `skyproof clear`
-            removed) or drivable (ground for vehicles).
+        places: places of vehicles: uniform (any place), removed (places of removed vehicles) or
+            drivable (ground for vehicles).
         draws: number of random draws of a best-of-N control.
         camouflage: numbers that the names leave open.
         settings: steps and seed.
@@ -86,29 +83,28 @@ class Attack:
                 f"{still[0]} has magnitude 0, with which there is nothing to optimise; give a "
                 "magnitude above 0."
             )
-        learnt = [name for name in names if not name.random or name.choice is not None]
-        drawn = [name for name in names if name not in learnt]
-        # What cannot work is said before anything is made.
-        if learnt:
-            self._check_scenes(learnt[0])
+        drawn = [name for name in names if name.random and name.choice is None]
+        attacked = [name for name in names if name not in drawn]
+        # Mistakes are refused before anything is made.
+        if attacked:
+            self._check_scenes(attacked[0])
         palette = self._palette(names)
         if drawn:
             self._draw(drawn, palette)
-        if learnt:
-            self._learn(learnt, palette)
+        if attacked:
+            self._attack(attacked, palette)
         say(f"Camouflages: {self.out.resolve()} ({', '.join(map(str, names))})")
 
     def _check_scenes(self, name: CamouflageName) -> None:
-        """Refuses options that no camouflage can be learnt or chosen with."""
+        """Refuses options without detectors or scenes."""
         if not self.detectors or self.backgrounds is None or self.fleet is None:
             raise ConfigurationError(
-                f"{name} is learnt from detectors, or chosen by them; give --detectors, "
-                "--backgrounds and --fleet."
+                f"{name} needs detectors and scenes; give --detectors, --backgrounds and --fleet."
             )
         SceneSettings(vehicles_maximum=1, conditions=self.conditions)
 
     def _palette(self, names: Sequence[CamouflageName]) -> torch.Tensor | None:
-        """The colours that textures are fixed to (Fc), or are learnt from (Lc, Pix)."""
+        """The fixed colours of Fc, from which Lc and Pix start, too."""
         if not any(name.takes_palette for name in names):
             return None
         source = self.palette or self.backgrounds
@@ -129,7 +125,7 @@ class Attack:
         return palette
 
     def _draw(self, names: Sequence[CamouflageName], palette: torch.Tensor | None) -> None:
-        """Random draws of camouflages, which are not learnt (section 5.4)."""
+        """Draws random controls (section 5.4)."""
         from skyproof.attacks.making import draw_random_control
 
         texture = self._finished_texture()
@@ -148,12 +144,8 @@ class Attack:
 
         return load_camouflage(self.texture) if self.texture else None
 
-    def _learn(
-        self,
-        names: Sequence[CamouflageName],
-        palette: torch.Tensor | None,
-    ) -> None:
-        """Attacks, each after a sign test of its gradient, or chooses."""
+    def _attack(self, names: Sequence[CamouflageName], palette: torch.Tensor | None) -> None:
+        """Optimises each camouflage after a sign test of its gradient, or chooses a control."""
         from skyproof.attacks.making import Maker
         from skyproof.attacks.world import World
         from skyproof.detectors.card import read_card

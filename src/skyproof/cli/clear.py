@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from skyproof.imagery.clearing.vehicle_masks import VehicleFinder
 
 
+FAILED = "failed its precheck, so it cannot tell that no vehicle is left"
+
+
 @dataclass(frozen=True)
 class Clear:
     """Removes the vehicles from tiled imagery, so that it can serve as backgrounds.
@@ -53,9 +56,6 @@ class Clear:
 
     def run(self) -> None:
         """Clears the folder, or takes rejected tiles out of it."""
-        from skyproof.imagery.clearing.clear import clear_backgrounds
-        from skyproof.imagery.words import cleared_words
-
         if self.out is None:
             self._reject()
             return
@@ -64,20 +64,10 @@ class Clear:
         checker = finder
         if self.check_detector is not None:
             checker = _finder(self.check_detector, self.device)
-        elif self.detector is not None and (failed := _failed_check(self.detector)):
-            say(failed)
+        elif self.detector is not None and failed_precheck(self.detector):
+            say(f"{self.detector} {FAILED}; give another one as --check-detector.")
             checker = None
-        with finished_folder(self.out) as partial, stage_bars("vehicles") as update:
-            record = clear_backgrounds(
-                self.folder,
-                partial,
-                self.settings,
-                finder=finder,
-                checker=checker,
-                progress=update,
-            )
-        for line in cleared_words(record, self.out, checked=checker is not None):
-            say(line)
+        clear_tiles(self.folder, self.out, finder, checker, self.settings)
 
     def _reject(self) -> None:
         from skyproof.imagery.clearing.clear import reject_tiles
@@ -93,22 +83,32 @@ class Clear:
             say(line)
 
 
-def _failed_check(folder: Path) -> str | None:
-    """Says why a detector may not certify that no vehicle is left; None where it may.
-
-    One that was not checked may.
-    """
+def failed_precheck(folder: Path) -> bool:
+    """Whether a detector failed its precheck; one without a precheck did not."""
     from skyproof.results.findings import findings, verdict
     from skyproof.results.precheck import PRECHECK_FILE, read_precheck
 
-    if not (folder / PRECHECK_FILE).is_file():
-        return None
-    if verdict(findings(read_precheck(folder))) != "failed":
-        return None
-    return (
-        f"{folder} failed its own check ({PRECHECK_FILE}), so it finds vehicles here, but cannot "
-        "tell that none is left; give another one as --check-detector."
-    )
+    precheck = folder / PRECHECK_FILE
+    return precheck.is_file() and verdict(findings(read_precheck(folder))) == "failed"
+
+
+def clear_tiles(
+    folder: Path,
+    out: Path,
+    finder: VehicleFinder | None,
+    checker: VehicleFinder | None,
+    settings: ClearSettings,
+) -> None:
+    """Clears a tiled folder, and prints what was removed."""
+    from skyproof.imagery.clearing.clear import clear_backgrounds
+    from skyproof.imagery.words import cleared_words
+
+    with finished_folder(out) as partial, stage_bars("vehicles") as update:
+        record = clear_backgrounds(
+            folder, partial, settings, finder=finder, checker=checker, progress=update
+        )
+    for line in cleared_words(record, out, checked=checker is not None):
+        say(line)
 
 
 def _finder(folder: Path | None, device: str) -> VehicleFinder | None:

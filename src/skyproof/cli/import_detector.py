@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import tyro
 from msgspec import Meta
 
-from skyproof.console import say
+from skyproof.cli.card import say_card
 from skyproof.files import refuse_existing
 from skyproof.ranges import GroundResolution, Name
 
@@ -60,9 +60,4 @@ class Import:
         card = import_detector(
             checkpoint, Dataset.open(self.validation), self.out, name=self.name, device=device
         )
-        say(
-            f"Validation AP (centre within 1 m) {card.validation['ap_centre_1m']:.3f}, threshold "
-            f"{card.threshold:.3f}. Detector: {self.out.resolve()}"
-        )
-        for doubt in card.doubts:
-            say(f"Warning: {doubt}")
+        say_card(card, self.out)

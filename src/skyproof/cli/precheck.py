@@ -1,4 +1,4 @@
-"""`skyproof precheck`: whether detectors are worth attacking, told before any attack."""
+"""`skyproof precheck`: tests of detectors before any attack."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from skyproof.ranges import Count, Seed
 if TYPE_CHECKING:
     import torch
 
+    from skyproof.detectors.detector import Detector
     from skyproof.measure.baseline import BaselineSet
     from skyproof.results.precheck import MeasuredOn, PrecheckRecord
     from skyproof.scenes.backgrounds import BackgroundSet
@@ -63,8 +64,12 @@ class Precheck:
     seed: Seed = 0
     device: str = "auto"
 
-    def run(self) -> None:
-        """Checks the detectors, stores what was found beside their cards, and prints it."""
+    def run(self, loaded: Sequence[Detector] = ()) -> None:
+        """Checks the detectors, stores the results beside their cards, and prints them.
+
+        Args:
+            loaded: the detectors of the folders, if they are loaded already.
+        """
         if not self.detectors:
             raise ConfigurationError("A precheck expects at least one detector folder, got none.")
         if self.freeze is not None:
@@ -86,7 +91,7 @@ class Precheck:
         fleet = Fleet.load(self.fleet)
         scenes = self._scenes(backgrounds, fleet)
         frames = read_frames(self.frames, self.frame_classes, backgrounds.gsd_m)
-        records = self._checked(device, backgrounds, fleet, scenes, frames)
+        records = self._checked(device, backgrounds, fleet, scenes, frames, loaded)
         for folder, record in zip(self.detectors, records, strict=True):
             for line in lines(record, read_card(folder).doubts):
                 say(line)
@@ -119,8 +124,9 @@ class Precheck:
         fleet: Fleet,
         scenes: Sequence[Scene],
         frames: Sequence[BaselineSet],
+        loaded: Sequence[Detector],
     ) -> list[PrecheckRecord]:
-        """Every detector's record: those that are there, and those that are made here."""
+        """The records of all detectors, stored or new."""
         from skyproof.detectors.loaded import load_ensemble
         from skyproof.measure.precheck import measured_on, precheck
         from skyproof.results.precheck import PRECHECK_FILE, write_precheck
@@ -135,7 +141,11 @@ class Precheck:
         }
         open_ones = [folder for folder in self.detectors if folder not in records]
         if open_ones:
-            detectors = load_ensemble(open_ones, device, backgrounds.gsd_m, apart=True)
+            given = zip(self.detectors, loaded, strict=False)
+            detectors = [detector for folder, detector in given if folder in open_ones]
+            detectors = detectors or [
+                *load_ensemble(open_ones, device, backgrounds.gsd_m, apart=True)
+            ]
             with progress_bar("precheck") as update:
                 made = precheck(
                     detectors,
@@ -173,10 +183,10 @@ class Precheck:
 
 
 def _known(folder: Path, wanted: MeasuredOn) -> PrecheckRecord:
-    """The record of a detector that is checked already.
+    """The stored record of a detector.
 
     Raises:
-        RunFolderError: it is of another detector, or was measured on something else.
+        RunFolderError: it belongs to another detector, or to other scenes and images.
     """
     from skyproof.detectors.card import read_card
     from skyproof.results.precheck import PRECHECK_FILE, read_precheck
@@ -188,7 +198,7 @@ def _known(folder: Path, wanted: MeasuredOn) -> PrecheckRecord:
         differing = ["weights or threshold"]
     if differing:
         raise RunFolderError(
-            f"{folder / PRECHECK_FILE} tells of a check with other {', '.join(differing)} and is "
-            "not overwritten; move it away to check the detector again."
+            f"{folder / PRECHECK_FILE} belongs to other {', '.join(differing)} and is not "
+            "overwritten; move it away to precheck the detector again."
         )
     return record

@@ -32,7 +32,7 @@ class Render(Rendering):
     `--renderer cycles` Blender path-traces the same scenes, with the same labels.
 
     Attributes:
-        scenes: scene file, such as scenes.jsonl of another dataset.
+        scenes: scene file, such as scenes.jsonl of a dataset.
         backgrounds: background set folder.
         fleet: fleet folder.
         out: dataset folder to write.
@@ -40,8 +40,8 @@ class Render(Rendering):
         count: number of sampled scenes.
         settings: distribution of sampled scenes.
         seed: seed of sampled scenes.
-        camouflage: camouflage folder; vehicles stay as they are without one.
-        labels: coco (annotations.json), or yolo for YOLO text and data.yaml as well.
+        camouflage: camouflage folder, if any.
+        labels: coco (annotations.json), or yolo for YOLO text as well.
         device: auto, cpu or cuda.
     """
 

@@ -18,8 +18,9 @@ from skyproof.ranges import Seed, is_name
 if TYPE_CHECKING:
     import torch
 
+    from skyproof.detectors.detector import Detector
     from skyproof.measure.views import SceneRenderer
-    from skyproof.scenes.scene import Scene
+    from skyproof.scenes.backgrounds import BackgroundSet
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,6 +59,16 @@ class Score(Rendering):
 
     def run(self) -> None:
         """Measures, and prints success rates and baselines."""
+        self._refuse_what_cannot_work()
+        self.measure()
+        self._say_results()
+
+    def measure(self, loaded: Sequence[Detector] = ()) -> None:
+        """Writes the score folder.
+
+        Args:
+            loaded: the detectors of the folders, if they are loaded already.
+        """
         from skyproof.camouflage.folder import load_camouflage
         from skyproof.console import progress_bar
         from skyproof.datasets.dataset import Dataset
@@ -69,18 +80,24 @@ class Score(Rendering):
         from skyproof.measure.patterns import add_patterns
         from skyproof.measure.score import score
         from skyproof.measure.views import SceneChange
+        from skyproof.scenes.backgrounds import BackgroundSet
 
-        self._refuse_what_cannot_work()
         refuse_existing(self.out)
         device = choose_device(self.device)
         original = None if self.original is None else Dataset.open(self.original)
         gsd_m = read_card(self.detectors[0]).gsd_m if original is None else original.gsd_m
         # Detectors of one kind can stand in one table of baselines, told apart by their folders.
-        detectors = load_ensemble(self.detectors, device, gsd_m, apart=original is None)
+        detectors = loaded or load_ensemble(self.detectors, device, gsd_m, apart=original is None)
         baselines = read_frames(self.frames, self.frame_classes, gsd_m)
         worn = {folder: load_camouflage(folder) for folder in self.camouflages}
         scenes = [] if original is None else original.scenes
-        with self._stage(device) as stage, progress_bar("score") as update:
+        sources: dict[str, None] = {}
+        backgrounds = None
+        if self.backgrounds is not None:
+            backgrounds = BackgroundSet.open(self.backgrounds)
+            tiles = dict.fromkeys(scene.background.tile for scene in scenes)
+            sources = dict.fromkeys(backgrounds.tile(name).source for name in tiles)
+        with self._stage(device, backgrounds) as stage, progress_bar("score") as update:
 
             def add(folder: Path) -> None:
                 if stage is not None:
@@ -95,17 +112,16 @@ class Score(Rendering):
                 unchanged=original,
                 baselines=baselines,
                 seed=self.seed,
-                sources=self._sources(scenes),
+                sources=list(sources),
                 add=add,
                 progress=update,
             )
-        self._say_results()
 
     def _refuse_what_cannot_work(self) -> None:
-        """Shows a mistake in the options before anything is drawn.
+        """Refuses options that do not fit, before anything is rendered.
 
         Raises:
-            ConfigurationError: nothing to measure, or something that belongs to it is missing.
+            ConfigurationError: an option is missing or out of place.
         """
         if not self.camouflages and not self.frames:
             raise ConfigurationError(
@@ -135,30 +151,20 @@ class Score(Rendering):
             )
 
     @contextmanager
-    def _stage(self, device: torch.device) -> Iterator[SceneRenderer | None]:
-        """Yields what the scenes are drawn with; None where none are."""
-        if self.backgrounds is None or self.fleet is None or self.original is None:
+    def _stage(
+        self, device: torch.device, backgrounds: BackgroundSet | None
+    ) -> Iterator[SceneRenderer | None]:
+        """Yields the vehicles and the renderer of the scenes, if there are any."""
+        if backgrounds is None or self.fleet is None or self.original is None:
             yield None
             return
         from skyproof.cycles.opening import open_renderer
         from skyproof.measure.views import SceneRenderer
-        from skyproof.scenes.backgrounds import BackgroundSet
         from skyproof.vehicles.fleet import Fleet
 
-        backgrounds = BackgroundSet.open(self.backgrounds)
         fleet = Fleet.load(self.fleet)
         with open_renderer(self, backgrounds, self.out) as renderer:
             yield SceneRenderer(fleet, renderer, device)
-
-    def _sources(self, scenes: Sequence[Scene]) -> list[str]:
-        """What the ground of the scenes was cut from, or ["procedural"]; empty without scenes."""
-        from skyproof.scenes.backgrounds import BackgroundSet
-
-        if self.backgrounds is None:
-            return []
-        backgrounds = BackgroundSet.open(self.backgrounds)
-        tiles = dict.fromkeys(scene.background.tile for scene in scenes)
-        return list(dict.fromkeys(backgrounds.tile(name).source for name in tiles))
 
     def _say_results(self) -> None:
         from skyproof.results.results import Results

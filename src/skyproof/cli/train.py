@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from skyproof.console import progress_bar, say
+from skyproof.cli.card import say_card
+from skyproof.console import progress_bar
 from skyproof.detectors.settings import SIZES, TRAINING_PRESETS, TrainingChanges
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import Seed
@@ -74,9 +75,4 @@ class Train:
                 generator=generator_of(self.seed, "train", self.detector),
                 on_step=show,
             )
-        say(
-            f"Validation AP (centre within 1 m) {card.validation['ap_centre_1m']:.3f}, threshold "
-            f"{card.threshold:.3f}. Detector: {self.out.resolve()}"
-        )
-        for doubt in card.doubts:
-            say(f"Warning: {doubt}")
+        say_card(card, self.out)

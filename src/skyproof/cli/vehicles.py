@@ -1,4 +1,4 @@
-"""`skyproof vehicles`: fleets, drawn by rules, or made of meshes and of other fleets."""
+"""`skyproof vehicles`: fleets, drawn by rules or made of meshes and of other fleets."""
 
 from __future__ import annotations
 
@@ -75,9 +75,8 @@ class Vehicles:
         draw_fleets(self.out, self.counts, settings, self.seed, sample_fleet)
         if not any(self.paints.shares.values()):
             say(
-                "  note: train and validation wear catalogue paints alone, so a detector trained "
-                "on them may take colour for evidence; see skyproof "
-                "precheck."
+                "  note: train and validation have catalogue paints only, so a detector trained "
+                "on them may take colour for evidence; see skyproof precheck."
             )
 
     def _combine(self) -> None:

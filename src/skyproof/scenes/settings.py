@@ -24,7 +24,8 @@ _Clearance = Annotated[float, Meta(ge=0, le=1000)]
 class SceneSettings:
     """How scenes are drawn; the defaults are the paper's test set.
 
-    The background set gives the metres per pixel.
+    The background set gives the metres per pixel. The same seed gives the same scenes under every
+    choice of conditions, except for the weather and the elevation of a low sun.
 
     Attributes:
         size_px: side of the image in pixels.
@@ -42,13 +43,12 @@ class SceneSettings:
             likely.
         gap_m: least distance between two vehicles.
         margin_m: least distance of a vehicle's centre from the image's edge.
-        places: places of vehicles: uniform (any place), removed (the places of vehicles that
-            `skyproof clear` removed) or drivable (ground for vehicles, along its direction).
+        places: places of vehicles: uniform (any place), removed (places of removed vehicles) or
+            drivable (ground for vehicles, along its direction).
         parked_share: share of scenes with uniform places whose vehicles stand in a row, bumper to
             bumper or side by side, like parked ones; 0 in the paper.
         conditions: weather and light, each equally likely in every scene: clear, haze, rain,
-            low_sun, overcast, exposure, noise, jpeg. The same seed gives the same scenes under
-            every choice of conditions, except for the weather and the elevation of a low sun.
+            low_sun, overcast, exposure, noise, jpeg.
     """
 
     size_px: ImageSide = 384

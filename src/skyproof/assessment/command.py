@@ -1,12 +1,37 @@
-"""`skyproof demo`: from nothing to a first robustness report."""
+"""`skyproof assess` and `skyproof demo`."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
 
+from skyproof.assessment.request import Request
 from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS, reference_folder
 from skyproof.ranges import Seed
+
+
+@dataclass(frozen=True)
+class Assess(Request):
+    """Tests detectors on your imagery with a fixed suite of attacks, and accepts or rejects them.
+
+    It tiles the imagery, clears it of vehicles, freezes thresholds on its labels, prechecks the
+    detectors, and measures every attack beside its controls. A stopped run resumes with the same
+    command.
+
+    Attributes:
+        plan: only estimate the scenes, tiles and time that the request needs.
+    """
+
+    plan: bool = False
+
+    def run(self) -> None:
+        """Does all steps that are not finished yet, and prints the answer."""
+        from skyproof.assessment.assess import plan_assessment, run_assessment
+
+        if self.plan:
+            plan_assessment(self)
+        else:
+            run_assessment(self)
 
 
 @dataclass(frozen=True)
@@ -33,7 +58,6 @@ class Demo:
     def run(self) -> None:
         """Does all steps that are not finished yet, and prints the answer."""
         from skyproof.assessment.assess import run_assessment
-        from skyproof.assessment.request import Request
         from skyproof.assessment.suite import DEMO_SUITE
 
         request = Request(
