@@ -18,10 +18,10 @@ from scipy import stats
 from skyproof.camouflage.name import CamouflageName
 from skyproof.reproduction.cells import (
     Block,
-    Grid,
     Heading,
-    Part,
     Table,
+    TextTable,
+    Topic,
     interval_cells,
     number,
     rate,
@@ -213,7 +213,7 @@ _SETS: dict[str, Callable[[str], bool]] = {
 }
 
 
-def agreement_part(run: Reproduction) -> Part:
+def agreement_part(run: Reproduction) -> Topic:
     """Says how alike the orders are, and which attacks stand elsewhere."""
     rows = _rows(run)
     heading = Heading("Does our order agree with the paper’s?")
@@ -227,12 +227,12 @@ def agreement_part(run: Reproduction) -> Part:
             "says what agreement can be expected."
         )
         blocks = [text, correlation_grid(rows), *_ranks(run)]
-    return Part([Table("agreement", rows)], [heading, *blocks])
+    return Topic([Table("agreement", rows)], [heading, *blocks])
 
 
-def correlation_grid(rows: Sequence[Mapping[str, Any]]) -> Grid:
+def correlation_grid(rows: Sequence[Mapping[str, Any]]) -> TextTable:
     """Shows rank correlations of two orders, which `rows` name as "compared" and "set"."""
-    return Grid.of(
+    return TextTable.of(
         rows,
         [
             ("compared", "compared"),
@@ -336,4 +336,4 @@ def _ranks(run: Reproduction) -> list[Block]:
         f"Of {len(names)} attacks, these are two or more ranks from their place in the paper (1 is "
         "the strongest):"
     )
-    return [text, Grid(header, rows)]
+    return [text, TextTable(header, rows)]

@@ -78,7 +78,7 @@ Cell = Callable[[Mapping[str, Any]], str]
 
 
 @dataclass(frozen=True)
-class Grid:
+class TextTable:
     """A table of a page, as words."""
 
     header: Sequence[str]
@@ -87,7 +87,7 @@ class Grid:
     @classmethod
     def of(
         cls, rows: Iterable[Mapping[str, Any]], columns: Sequence[tuple[str, str | Cell]]
-    ) -> Grid:
+    ) -> TextTable:
         """Shows columns of rows, each under its heading; a key stands for the value as it is."""
         cells = [
             [str(row[cell]) if isinstance(cell, str) else cell(row) for _, cell in columns]
@@ -111,12 +111,12 @@ class Figure:
     files: Mapping[str, bytes]
 
 
-Block = Heading | Grid | Figure | str
+Block = Heading | TextTable | Figure | str
 """A part of a page; a string is a paragraph."""
 
 
 @dataclass(frozen=True)
-class Part:
+class Topic:
     """A topic's tables, and what the page says of it; both empty where a run has nothing of it."""
 
     tables: Sequence[Table] = ()
@@ -129,7 +129,7 @@ def as_markdown(blocks: Sequence[Block]) -> str:
     for block in blocks:
         if isinstance(block, Heading):
             parts.append("#" * block.level + " " + block.text)
-        elif isinstance(block, Grid):
+        elif isinstance(block, TextTable):
             parts.append(block.markdown())
         elif isinstance(block, Figure):
             parts.append(f"![{block.caption}]({block.name}.png)")

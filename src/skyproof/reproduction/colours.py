@@ -18,10 +18,10 @@ from skyproof.reproduction.cells import (
     Block,
     Cell,
     Figure,
-    Grid,
     Heading,
-    Part,
     Table,
+    TextTable,
+    Topic,
     number,
     span,
     value,
@@ -33,11 +33,11 @@ _CHANNELS = ("red", "green", "blue")
 _PLACES = ("faces", "edges", "corners")
 
 
-def colours_part(run: Reproduction) -> Part:
+def colours_part(run: Reproduction) -> Topic:
     """Gives the shares by place in the RGB cube and the histograms, where they were measured."""
     heading = Heading("Colours")
     if run.looks is None:
-        return Part(blocks=[heading, "The textures’ colours were not measured in this run."])
+        return Topic(blocks=[heading, "The textures’ colours were not measured in this run."])
     textures = _by_name(run.looks.textures)
     rows = [_row(name, textures) for name in _learnt(textures)]
     histograms = _histograms(textures)
@@ -58,7 +58,7 @@ def colours_part(run: Reproduction) -> Part:
         "by its mean area on the test vehicles, and only where they wear the texture. Brackets "
         "hold the range over repeats. Of uniformly random colours 32.2, 4.1 and 0.2 % lie there. "
         "“random” is the mean over draws of the random control.",
-        Grid.of(rows, columns),
+        TextTable.of(rows, columns),
         *_weather(rows),
         Figure(
             "colours",
@@ -67,7 +67,7 @@ def colours_part(run: Reproduction) -> Part:
             _figure(histograms),
         ),
     ]
-    return Part([Table("colours", rows), Table("colour_histograms", bins)], blocks)
+    return Topic([Table("colours", rows), Table("colour_histograms", bins)], blocks)
 
 
 def _histograms(

@@ -6,10 +6,10 @@ from typing import Any
 from skyproof.camouflage.name import CamouflageName
 from skyproof.reproduction.cells import (
     Block,
-    Grid,
     Heading,
-    Part,
     Table,
+    TextTable,
+    Topic,
     interval_cells,
     number,
     rate,
@@ -23,7 +23,7 @@ _OVERLAP = "iou_50"
 _LENIENT = f"easr_{LENIENT_MATCH}"
 
 
-def criteria_part(run: Reproduction) -> Part:
+def criteria_part(run: Reproduction) -> Topic:
     """Gives every learnt camouflage's EASR by each rule, and the false alarms, mean of detectors.
 
     Attacks that end on the way or see some detectors only are left out.
@@ -53,7 +53,7 @@ def criteria_part(run: Reproduction) -> Part:
         "detections on no vehicle at the frozen threshold, per square kilometre of test ground, "
         "beside vehicles without and with the camouflage."
     )
-    grid = Grid.of(
+    grid = TextTable.of(
         rows,
         [
             ("attack", "attack"),
@@ -67,7 +67,7 @@ def criteria_part(run: Reproduction) -> Part:
         ],
     )
     blocks = [Heading("By overlap, and false alarms"), text, grid, *_on_empty_ground(run)]
-    return Part([Table("criteria", rows)], blocks)
+    return Topic([Table("criteria", rows)], blocks)
 
 
 def _on_empty_ground(run: Reproduction) -> list[Block]:

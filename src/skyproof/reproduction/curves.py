@@ -47,7 +47,7 @@ class Point:
 
 
 @dataclass(frozen=True)
-class Curve:
+class PracticalityCurve:
     """EASR against practicality of one family.
 
     Attributes:
@@ -96,7 +96,7 @@ def practicality_curve(
     family: str,
     *,
     generator: np.random.Generator,
-) -> Curve:
+) -> PracticalityCurve:
     """Gives the curve of one family over the magnitudes that were scored.
 
     Repeats and detectors are averaged; all magnitudes on the same tiles and vehicles. Magnitude 0
@@ -158,7 +158,7 @@ def practicality_curve(
             -point.perturbation_magnitude,
         ),
     )
-    return Curve(family, points, best.perturbation_magnitude)
+    return PracticalityCurve(family, points, best.perturbation_magnitude)
 
 
 def _magnitudes(
@@ -211,7 +211,7 @@ _TEXTURES = {
 }
 
 
-def curves_figure(curves: Mapping[str, Curve]) -> dict[str, bytes]:
+def curves_figure(curves: Mapping[str, PracticalityCurve]) -> dict[str, bytes]:
     """Draws S-O and combinations with the six textures without mask; SVG or PNG by file ending."""
     with plt.rc_context(STYLE | {"svg.hashsalt": "easr-against-practicality"}):
         figure, (left, right) = plt.subplots(
@@ -246,7 +246,7 @@ def curves_figure(curves: Mapping[str, Curve]) -> dict[str, bytes]:
         return as_files(figure)
 
 
-def _draw_curve(axes: Any, curve: Curve, texture: str, line: str) -> None:
+def _draw_curve(axes: Any, curve: PracticalityCurve, texture: str, line: str) -> None:
     colour, marker, _ = _TEXTURES[texture]
     points = [point for point in curve.points if not math.isnan(point.easr.estimate)]
     places = [point.practicality for point in points]
@@ -296,7 +296,7 @@ def _draw_paper(axes: Any, family: str, texture: str) -> None:
     )
 
 
-def _legend(curves: Mapping[str, Curve]) -> list[Line2D]:
+def _legend(curves: Mapping[str, PracticalityCurve]) -> list[Line2D]:
     shown = {family.split("-")[1] for family in curves}
     handles = [
         Line2D([], [], color=colour, marker=marker, label=label)

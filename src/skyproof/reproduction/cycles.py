@@ -15,10 +15,10 @@ from skyproof.reproduction.agreement import (
 )
 from skyproof.reproduction.cells import (
     Block,
-    Grid,
     Heading,
-    Part,
     Table,
+    TextTable,
+    Topic,
     in_percent,
     interval_cells,
     number,
@@ -59,10 +59,10 @@ def cycles_columns(run: Reproduction, name: str) -> dict[str, Any]:
     }
 
 
-def cycles_part(run: Reproduction, rows: Sequence[Mapping[str, Any]]) -> Part:
+def cycles_part(run: Reproduction, rows: Sequence[Mapping[str, Any]]) -> Topic:
     """Says how far EASR moves from the renderer to Cycles; `rows` are those of both tables."""
     if not run.cycles:
-        return Part()
+        return Topic()
     changes = _changes(run)
     agreements = _agreements(run)
     blocks: list[Block] = [
@@ -87,7 +87,7 @@ def cycles_part(run: Reproduction, rows: Sequence[Mapping[str, Any]]) -> Part:
         ]
     blocks += _originals(run)
     tables = [Table("cycles", changes), Table("cycles_agreement", agreements)]
-    return Part(tables, [block for block in blocks if block])
+    return Topic(tables, [block for block in blocks if block])
 
 
 def rates_under(
@@ -202,7 +202,7 @@ def _moves(changes: Sequence[Mapping[str, Any]]) -> list[Block]:
         "without controls that were chosen. Beside them the paper’s means, over the attacks for "
         "which it has both."
     )
-    grid = Grid.of(
+    grid = TextTable.of(
         changes,
         [
             ("camouflages", "kind"),
@@ -264,7 +264,7 @@ def _originals(run: Reproduction) -> list[Block]:
     if not rows:
         return []
     header = ["detector", "AP", "AP on Cycles", "vehicles found", "vehicles found on Cycles"]
-    return ["On the images without camouflage, in percent:", Grid(header, rows)]
+    return ["On the images without camouflage, in percent:", TextTable(header, rows)]
 
 
 def _percent(value: float | None) -> str:

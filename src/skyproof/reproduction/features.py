@@ -18,10 +18,10 @@ from skyproof.report.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, STYLE, as
 from skyproof.reproduction.cells import (
     Block,
     Figure,
-    Grid,
     Heading,
-    Part,
     Table,
+    TextTable,
+    Topic,
     detector_of,
     interval_cells,
     number,
@@ -41,7 +41,7 @@ EVERY = "all"
 _FEWEST = 10
 
 
-def features_part(run: Reproduction) -> Part:
+def features_part(run: Reproduction) -> Topic:
     """Gives the numbers by detector and class, the points of the pictures, and what they show.
 
     Raises:
@@ -62,9 +62,9 @@ def features_part(run: Reproduction) -> Part:
             numbers += _number_rows(str(name), detector, embedding)
             points += _point_rows(str(name), detector, embedding, stored)
     if not numbers:
-        return Part()
+        return Topic()
     tables = [Table("embeddings", numbers), Table("embedding_points", points)]
-    return Part(tables, _blocks(run, numbers, points))
+    return Topic(tables, _blocks(run, numbers, points))
 
 
 def _learnt(every: Sequence[Features]) -> list[CamouflageName]:
@@ -183,7 +183,7 @@ def _blocks(
         "class’s mean lies on the straight way from vehicles as they were (0) to the ground (1), "
         "“aside” how far off that way it lies, in lengths of the way. Brackets hold 95 % "
         "intervals over background tiles.",
-        Grid.of(
+        TextTable.of(
             rows,
             [
                 ("camouflage", "camouflage"),

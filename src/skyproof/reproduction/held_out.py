@@ -18,10 +18,10 @@ from skyproof.report.figures import BLUE, GREY, INK, ORANGE, STYLE, as_files
 from skyproof.reproduction.cells import (
     Block,
     Figure,
-    Grid,
     Heading,
-    Part,
     Table,
+    TextTable,
+    Topic,
     bracket,
     detector_of,
     interval_cells,
@@ -42,10 +42,10 @@ _WEAK = 80.0
 _PREFIXES = {RENDERER: "", CYCLES: "cycles_"}
 
 
-def held_out_part(run: Reproduction) -> Part:
+def held_out_part(run: Reproduction) -> Topic:
     """Gives what held-out detectors find without camouflage, and what is hidden from them."""
     if not run.held_out:
-        return Part()
+        return Topic()
     blocks: list[Block] = [
         Heading("Judged by detectors that were not attacked"),
         "No attack learnt on the detectors of this section. Where these learnt from photographs, "
@@ -62,7 +62,7 @@ def held_out_part(run: Reproduction) -> Part:
         blocks += _table(run, table, own_baselines, own_hidden)
         baselines += own_baselines
         hidden += own_hidden
-    return Part([Table("judges_clean", baselines), Table("judges", hidden)], blocks)
+    return Topic([Table("judges_clean", baselines), Table("judges", hidden)], blocks)
 
 
 def detectors_and_mean(results: Results) -> list[str]:
@@ -151,7 +151,7 @@ def _table(
         Heading(f"{table}: {', '.join(map(detector_name, results.detectors))}", 3),
         f"They learnt from “{'”, “'.join(origins)}”. What they reach without camouflage, in "
         "percent; found, and right of what was reported, at the frozen threshold:",
-        Grid.of(
+        TextTable.of(
             baselines,
             [
                 ("detector", detector_of),
@@ -199,7 +199,7 @@ def _doubts(baselines: Sequence[Mapping[str, Any]]) -> str:
     )
 
 
-def _grid(detectors: Sequence[str], hidden: Sequence[Mapping[str, Any]], prefix: str) -> Grid:
+def _grid(detectors: Sequence[str], hidden: Sequence[Mapping[str, Any]], prefix: str) -> TextTable:
     known = {"easr": "EASR", "net_easr": "net", "net_strongest_control_easr": "net of best control"}
     # What no attack has, such as chosen controls on Cycles, gets no column.
     rates = {
@@ -225,7 +225,7 @@ def _grid(detectors: Sequence[str], hidden: Sequence[Mapping[str, Any]], prefix:
         ]
         for name in names
     ]
-    return Grid(["attack", *header], rows)
+    return TextTable(["attack", *header], rows)
 
 
 _RENDERERS = {"": (BLUE, "differentiable renderer"), "cycles_": (ORANGE, "Blender Cycles")}

@@ -16,7 +16,7 @@ from skyproof.report.figures import BLUE, INK, ORANGE, STYLE, as_files
 from skyproof.reproduction.cells import (
     Figure,
     Heading,
-    Part,
+    Topic,
 )
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.reproduction.stored_looks import Strip
@@ -28,7 +28,7 @@ _STRIP_INCHES = 1.25
 _PORTRAIT_ROWS = 4
 
 
-def looks_part(run: Reproduction) -> Part:
+def looks_part(run: Reproduction) -> Topic:
     """Draws what was tested; figures of what the run lacks are empty."""
     looks = run.looks
     folder = run.layout.looks
@@ -63,7 +63,7 @@ def looks_part(run: Reproduction) -> Part:
         ),
     }
     figures = [Figure(name, caption, drawn[name]) for name, caption in captions.items()]
-    return Part(blocks=[Heading("What was tested"), *figures])
+    return Topic(blocks=[Heading("What was tested"), *figures])
 
 
 def _classes(run: Reproduction) -> dict[str, bytes]:

@@ -2,19 +2,19 @@
 
 from typing import Any
 
-from skyproof.reproduction.cells import Grid, Heading, Part, Table, sign, value
+from skyproof.reproduction.cells import Heading, Table, TextTable, Topic, sign, value
 from skyproof.reproduction.reproduction import Reproduction
 
 
-def practicality_part(run: Reproduction) -> Part:
+def practicality_part(run: Reproduction) -> Topic:
     """Gives the paper's signs, and what was measured beside them."""
     measured = _rows(run)
     tables = [Table("practicality", measured)]
     heading = Heading("Practicality")
     if not measured:
-        return Part(tables, [heading])
+        return Topic(tables, [heading])
     text = "The paper’s signs, summed, and means over the test fleet measured beside them."
-    grid = Grid.of(
+    grid = TextTable.of(
         measured,
         [
             ("attack", "attack"),
@@ -28,7 +28,7 @@ def practicality_part(run: Reproduction) -> Part:
             ("share self-intersecting", value("shape_share_self_intersecting", 2)),
         ],
     )
-    return Part(tables, [heading, text, grid])
+    return Topic(tables, [heading, text, grid])
 
 
 def _rows(run: Reproduction) -> list[dict[str, Any]]:

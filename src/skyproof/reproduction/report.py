@@ -12,7 +12,15 @@ from skyproof.files import alone, write_bytes
 from skyproof.report.precheck import precheck_part
 from skyproof.report.report import Section, write_report
 from skyproof.reproduction.agreement import agreement_part
-from skyproof.reproduction.cells import Block, Figure, Grid, Heading, Part, as_markdown, number
+from skyproof.reproduction.cells import (
+    Block,
+    Figure,
+    Heading,
+    TextTable,
+    Topic,
+    as_markdown,
+    number,
+)
 from skyproof.reproduction.colours import colours_part
 from skyproof.reproduction.criteria import criteria_part
 from skyproof.reproduction.cycles import cycles_part
@@ -111,7 +119,7 @@ def paper_part(results: Results) -> PaperPart | None:
     return PaperPart(Markup("\n").join(map(_html, blocks)), files)
 
 
-def _parts(run: Reproduction) -> list[Part]:
+def _parts(run: Reproduction) -> list[Topic]:
     """The topics of the report, in its order."""
     main = main_part(run)
     textures, shapes, _ = main.tables
@@ -203,12 +211,12 @@ def _html(block: Block) -> Markup:
         return Markup(
             '<figure class="wide"><div class="scroll">{}</div><figcaption>{}</figcaption></figure>'
         ).format(_inline(block.files["svg"].decode()), block.caption)
-    if isinstance(block, Grid):
+    if isinstance(block, TextTable):
         return _grid(block)
     return Markup("<p>{}</p>").format(block)
 
 
-def _grid(grid: Grid) -> Markup:
+def _grid(grid: TextTable) -> Markup:
     head = Markup("").join(Markup("<th>{}</th>").format(cell) for cell in grid.header)
     lines = [
         Markup("<tr>{}</tr>").format(

@@ -10,7 +10,7 @@ import numpy as np
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.files import is_leftover
-from skyproof.reproduction.curves import Curve, curve_families, practicality_curve
+from skyproof.reproduction.curves import PracticalityCurve, curve_families, practicality_curve
 from skyproof.reproduction.layout import PaperLayout
 from skyproof.reproduction.paper_results import PAPER_RESULTS
 from skyproof.reproduction.stored_features import Features, read_features
@@ -85,7 +85,7 @@ class Reproduction:
         return {test: _largest([row.get(test) for row in told]) for test in tests}
 
     @cached_property
-    def curves(self) -> dict[str, Curve]:
+    def curves(self) -> dict[str, PracticalityCurve]:
         """Per attack with a shape ("S-O", "C-Fc-seq") its EASR against practicality."""
         tiles = self.results.counts
         return {

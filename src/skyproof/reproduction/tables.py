@@ -8,10 +8,10 @@ from skyproof.reproduction.cells import (
     Block,
     Cell,
     Figure,
-    Grid,
     Heading,
-    Part,
     Table,
+    TextTable,
+    Topic,
     bracket,
     in_percent,
     number,
@@ -29,7 +29,7 @@ from skyproof.words import detector_name
 Column = tuple[str, str | Cell]
 
 
-def main_part(run: Reproduction) -> Part:
+def main_part(run: Reproduction) -> Topic:
     """Gives both tables of the paper and the curves, and explains what stands in them."""
     textures = _texture_rows(run)
     shapes = _shape_rows(run)
@@ -59,18 +59,18 @@ def main_part(run: Reproduction) -> Part:
             Figure("easr_vs_pr", "EASR against practicality", curves_figure(run.curves)),
         ]
     named = {"textures": textures, "shape_combined": shapes, "curves": _curve_rows(run)}
-    return Part([Table(name, rows) for name, rows in named.items()], blocks)
+    return Topic([Table(name, rows) for name, rows in named.items()], blocks)
 
 
-def texture_table(rows: Sequence[Mapping[str, Any]]) -> Grid:
+def texture_table(rows: Sequence[Mapping[str, Any]]) -> TextTable:
     """Gives the paper's first table."""
     first: list[Column] = [("attack", "attack"), ("practicality", _signs)]
-    return Grid.of(rows, [*first, *_columns(rows)])
+    return TextTable.of(rows, [*first, *_columns(rows)])
 
 
-def shape_table(rows: Sequence[Mapping[str, Any]]) -> Grid:
+def shape_table(rows: Sequence[Mapping[str, Any]]) -> TextTable:
     """Gives the paper's second table."""
-    return Grid.of(
+    return TextTable.of(
         rows,
         [
             ("attack", "attack"),
@@ -90,7 +90,7 @@ def _learnt_shapes(shapes: Sequence[Mapping[str, Any]]) -> list[Block]:
     rows = [row for row in shapes if row["drawn_shape_easr"] is not None]
     if not rows:
         return []
-    grid = Grid.of(
+    grid = TextTable.of(
         rows,
         [
             ("attack", "attack"),

@@ -18,10 +18,10 @@ from skyproof.errors import ConfigurationError
 from skyproof.ranges import WholeNumber
 from skyproof.reproduction.cells import (
     Block,
-    Grid,
     Heading,
-    Part,
     Table,
+    TextTable,
+    Topic,
     detector_of,
     interval_cells,
     number,
@@ -45,7 +45,7 @@ from skyproof.results.stored import read_detectors
 from skyproof.words import detector_name
 
 
-def trainings_part(run: Reproduction) -> Part:
+def trainings_part(run: Reproduction) -> Topic:
     """Gives EASR and net EASR of every attack that was learnt on every training.
 
     One row per detector, and one for their mean. Nothing is said of a run with one training.
@@ -55,8 +55,8 @@ def trainings_part(run: Reproduction) -> Part:
     """
     trainings = read_trainings(run.results)
     if len(trainings) < 2:
-        return Part()
-    beside = _Beside.of(trainings)
+        return Topic()
+    beside = _Trainings.of(trainings)
     detectors = run.detectors
     labels = [(detector, [detector]) for detector in detectors]
     if len(detectors) > 1:
@@ -67,7 +67,7 @@ def trainings_part(run: Reproduction) -> Part:
         if not name.random and not name.variant and beside.shared(name, detectors)
         for label, chosen in labels
     ]
-    return Part([Table("trainings", rows)], _blocks(trainings, rows))
+    return Topic([Table("trainings", rows)], _blocks(trainings, rows))
 
 
 def _blocks(trainings: Sequence[Training], rows: Sequence[Mapping[str, Any]]) -> list[Block]:
@@ -105,7 +105,7 @@ def _blocks(trainings: Sequence[Training], rows: Sequence[Mapping[str, Any]]) ->
 
 
 @dataclass(frozen=True)
-class _Beside:
+class _Trainings:
     """Trainings on one sample of tiles and vehicles."""
 
     counts: Sequence[Mapping[Series, np.ndarray]]
@@ -113,7 +113,7 @@ class _Beside:
     sample: Sample
 
     @classmethod
-    def of(cls, trainings: Sequence[Training]) -> _Beside:
+    def of(cls, trainings: Sequence[Training]) -> _Trainings:
         cells = _shown(trainings[0])
         every = []
         for training in trainings:
@@ -235,7 +235,7 @@ def _grid(
 ) -> Block:
     if not rows:
         return "No random control was scored on every training."
-    return Grid.of(
+    return TextTable.of(
         rows,
         [
             ("attack", "attack"),

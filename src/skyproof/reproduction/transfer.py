@@ -5,7 +5,7 @@ from typing import Any
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
-from skyproof.reproduction.cells import Cell, Grid, Heading, Part, Table, interval_cells, rate
+from skyproof.reproduction.cells import Cell, Heading, Table, TextTable, Topic, interval_cells, rate
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.results.result import MAIN_MATCH, MEAN, Result
 from skyproof.results.results import RENDERER
@@ -15,7 +15,7 @@ _OF_SOME = ("on_", "without_")
 """Variants that were optimised against some of the detectors begin so."""
 
 
-def transfer_part(run: Reproduction) -> Part:
+def transfer_part(run: Reproduction) -> Topic:
     """Sets the attacked detectors (rows) against those that score (columns)."""
     attacked = {
         CamouflageName.read(name): tuple(record.attack.detectors)
@@ -30,13 +30,13 @@ def transfer_part(run: Reproduction) -> Part:
     ]
     tables = [Table("transfer", rows)]
     if not rows:
-        return Part(tables)
+        return Topic(tables)
     columns: list[tuple[str, str | Cell]] = [
         ("attack", "attack"),
         ("learnt on", lambda row: ", ".join(map(detector_name, row["attacked_on"].split()))),
         *((f"EASR on {detector_name(each)}", rate(each)) for each in run.detectors),
     ]
-    return Part(tables, [Heading("Transfer"), Grid.of(rows, columns)])
+    return Topic(tables, [Heading("Transfer"), TextTable.of(rows, columns)])
 
 
 def transfer_rows(

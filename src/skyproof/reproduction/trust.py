@@ -5,7 +5,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from skyproof.reproduction.cells import Block, Grid, Heading, Part, Table, value, word
+from skyproof.reproduction.cells import Block, Heading, Table, TextTable, Topic, value, word
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.results.stored import Discretisation
 from skyproof.words import probability
@@ -14,7 +14,7 @@ _SURE = 0.05
 _RUNG = re.compile(r"(?P<base>.+)_step(?P<step>\d+)-(?P<repeat>\d+)")
 
 
-def trust_part(run: Reproduction, rows: Sequence[Mapping[str, Any]]) -> Part:
+def trust_part(run: Reproduction, rows: Sequence[Mapping[str, Any]]) -> Topic:
     """Says what is left of chance in the rows of the paper's tables, and how attacks converge."""
     signs = _sign_rows(run)
     ladder = _ladder_rows(run)
@@ -29,7 +29,7 @@ def trust_part(run: Reproduction, rows: Sequence[Mapping[str, Any]]) -> Part:
         *_gap(gap),
     ]
     named = {"ladder": ladder, "convergence": convergence, "signs": signs, "gap": gap}
-    return Part([Table(name, own) for name, own in named.items()], blocks)
+    return Topic([Table(name, own) for name, own in named.items()], blocks)
 
 
 def _tests(run: Reproduction, rows: Sequence[Mapping[str, Any]]) -> str:
@@ -98,7 +98,7 @@ def _signs(rows: Sequence[Mapping[str, Any]]) -> list[Block]:
         f"in more scenes than chance explains (exact, p < {_SURE})."
     )
     if others:
-        grid = Grid.of(
+        grid = TextTable.of(
             others,
             [
                 ("did not fall", "attack"),
@@ -163,7 +163,7 @@ def _ladder(rows: Sequence[Mapping[str, Any]]) -> list[Block]:
         f"{strict} of {len(rows)} attacks; in {holds} no fall is certain (its 95 % interval "
         "reaches zero)."
     )
-    grid = Grid.of(
+    grid = TextTable.of(
         rows,
         [
             ("attack", "attack"),
@@ -209,7 +209,7 @@ def _convergence(rows: Sequence[Mapping[str, Any]]) -> list[Block]:
     heading = Heading("Convergence", 3)
     if not others:
         return [heading, text]
-    grid = Grid.of(
+    grid = TextTable.of(
         sorted(others, key=lambda row: -row["added"]),
         [
             ("not converged", "attack"),
@@ -248,4 +248,7 @@ def _gap(rows: Sequence[Mapping[str, Any]]) -> list[Block]:
     if not rows:
         return []
     columns = [("EASR before", value("easr_before")), ("EASR after", value("easr_after"))]
-    return [Heading("Rounding to few colours", 3), Grid.of(rows, [("attack", "attack"), *columns])]
+    return [
+        Heading("Rounding to few colours", 3),
+        TextTable.of(rows, [("attack", "attack"), *columns]),
+    ]

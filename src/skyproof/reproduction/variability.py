@@ -19,10 +19,10 @@ from skyproof.reproduction.cells import (
     Block,
     Cell,
     Figure,
-    Grid,
     Heading,
-    Part,
     Table,
+    TextTable,
+    Topic,
     interval_cells,
     number,
     rate,
@@ -39,12 +39,12 @@ _LIKENESS = ("correlation", "distance", "seen_correlation", "seen_distance")
 _MISSING = "How alike repeats of an attack are was not measured in this run."
 
 
-def variability_part(run: Reproduction) -> Part:
+def variability_part(run: Reproduction) -> Topic:
     """Says of textures with several starts how alike they are, where it was measured."""
     pairs = _pairs(run)
     learnt = [name for name in pairs if not name.random]
     if not learnt:
-        return Part(blocks=[Heading("From several starts"), _MISSING])
+        return Topic(blocks=[Heading("From several starts"), _MISSING])
     rows: list[dict[str, Any]] = []
     starts: list[dict[str, Any]] = []
     for name in learnt:
@@ -72,7 +72,7 @@ def variability_part(run: Reproduction) -> Part:
         "which nobody sees, at both sides), and the correlations of 4 × 4 texels between them",
         _figure(run, most),
     )
-    return Part([Table("variability", rows), Table("starts", starts)], [*blocks, figure])
+    return Topic([Table("variability", rows), Table("starts", starts)], [*blocks, figure])
 
 
 def _blocks(
@@ -97,9 +97,9 @@ def _blocks(
         "among draws of the random control. “hidden alike” correlates, over the vehicles that a "
         "detector found before, which of them two starts hide (mean over pairs and detectors; 95 % "
         "interval over background tiles); it is undefined where a start hides all.",
-        Grid.of(rows, columns),
+        TextTable.of(rows, columns),
         f"The starts of {most} one by one, with intervals over tiles and vehicles:",
-        Grid.of(starts, [("start", "attack"), ("EASR, %", rate("easr"))]),
+        TextTable.of(starts, [("start", "attack"), ("EASR, %", rate("easr"))]),
     ]
 
 

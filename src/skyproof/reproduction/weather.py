@@ -15,10 +15,10 @@ from skyproof.report.figures import BLUE, GREY, ORANGE, STYLE, as_files
 from skyproof.reproduction.cells import (
     Block,
     Figure,
-    Grid,
     Heading,
-    Part,
     Table,
+    TextTable,
+    Topic,
     bracket,
     interval_cells,
     number,
@@ -38,7 +38,7 @@ EVERY_WEATHER = "all weathers"
 _SEED = 0
 
 
-def weather_part(run: Reproduction) -> Part:
+def weather_part(run: Reproduction) -> Topic:
     """Gives success by weather, detector by detector and on average.
 
     Raises:
@@ -47,13 +47,13 @@ def weather_part(run: Reproduction) -> Part:
     """
     place = run.layout.weather
     if not place.scores.exists():
-        return Part()
+        return Topic()
     scored = Results.open(place.folder)
     bases = dict.fromkeys(name.base for name in scored.names if name.variant == IN_WEATHER)
     detectors = [*run.detectors, MEAN] if len(run.detectors) > 1 else run.detectors
     every = [row for base in bases for row in _rows(base, run.results, scored, detectors)]
     if not every:
-        return Part()
+        return Topic()
     # Of one detector there is no mean.
     rows = [row for row in every if row["detector"] == detectors[-1]]
     conditions = dict.fromkeys(row["condition"] for row in rows)
@@ -72,7 +72,7 @@ def weather_part(run: Reproduction) -> Part:
             "Success by weather, learnt on clear days and in all weathers",
             _figure(rows),
         ),
-        Grid(
+        TextTable(
             [
                 *("attack", "weather", "vehicles", "found before", "learnt clear", "net"),
                 *("learnt in all", "net", "gain", "random"),
@@ -81,7 +81,7 @@ def weather_part(run: Reproduction) -> Part:
         ),
         *_readings(rows),
     ]
-    return Part([Table("weather", every)], blocks)
+    return Topic([Table("weather", every)], blocks)
 
 
 def _rows(
