@@ -280,6 +280,11 @@ def test_a_module_beyond_400_lines_has_a_second_subject():
     } == {}
 
 
+def test_the_product_keeps_to_its_budget_of_lines():
+    outside = {m: t for m, t in sources().items() if m.split(".")[0] not in ROOMS_OF_THEIR_OWN}
+    assert sum(text.count("\n") for text in outside.values()) <= 40_000
+
+
 def test_these_rules_can_fail():
     modules = {
         "errors": "",
