@@ -21,10 +21,11 @@ from skyproof.measure.measure import measure
 from skyproof.measure.score import score
 from skyproof.measure.views import SceneChange, SceneRenderer
 from skyproof.render.frames import Frames
-from skyproof.results.merge import merge_counts
+from skyproof.results.merge import merge_scores
 from skyproof.results.pairs.counts import Series
 from skyproof.results.pairs.outcomes import MATCHES, read_outcomes
 from skyproof.results.results import Results
+from skyproof.results.score_folder import ScoreFolder
 from skyproof.scenes.scene import Placement
 from tests.results.counted import count_outcomes
 
@@ -124,7 +125,7 @@ def test_all_that_was_found_is_written(scored, tmp_path):
         pytest.approx(2 / 3),
         pytest.approx(1 / 3),
     )
-    tiles, sets = merge_counts([tmp_path / "scores"])
+    tiles, sets = merge_scores([ScoreFolder.open(tmp_path / "scores")])
     counted = count_outcomes(read_outcomes(tmp_path / "scores" / "outcomes.parquet"))
     key = Series("T-U-0", "torch", "brightest", "centre_1m")
     expected = [[1, 0, 1, 0], [1, 0, 1, 0], [1, 1, 0, 0], [1, 0, 0, 1]]
@@ -195,7 +196,7 @@ def test_two_of_one_name_are_refused(tmp_path, make_scene, fleet, detectors, nam
 def test_the_renderer_is_the_stages_own(scored, tmp_path):
     rows = scored([judging(Brightest(), 0.5)], [200, 50], {"T-U": [50, 200]}, renderer="cycles")
     assert {row["renderer"] for row in rows} == {"cycles"}
-    tiles, sets = merge_counts([tmp_path / "scores"])
+    tiles, sets = merge_scores([ScoreFolder.open(tmp_path / "scores")])
     assert {key.renderer for key in tiles.series} == {one.renderer for one in sets} == {"cycles"}
     (check,) = json.loads((tmp_path / "scores" / "baselines.json").read_text())["rows"]
     assert check["dataset"] == "Blender Cycles test"

@@ -19,7 +19,7 @@ from skyproof.report.renderers import survival
 from skyproof.report.report import write_report
 from skyproof.reproduction.cycles import cycles_columns
 from skyproof.reproduction.reproduction import Reproduction
-from skyproof.results.results import Change, Results
+from skyproof.results.results import RendererChange, Results
 from skyproof.results.statistics.intervals import Interval
 from skyproof.words import interval, percent, points
 from tests.report.fabricate import fabricate, fabricate_cycles
@@ -179,7 +179,7 @@ def test_the_page_and_the_tables_say_the_same_difference(both, page):
 
 def change(first, second, half_width=0.07):
     difference = second - first
-    return Change(
+    return RendererChange(
         first, second, Interval(difference, difference - half_width, difference + half_width)
     )
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from skyproof.errors import ConfigurationError, StoredFileError
-from skyproof.results.merge import merge_counts
+from skyproof.results.merge import merge_scores
 from skyproof.results.pairs.counts import OutcomeCounts, Series, read_counts
 from skyproof.results.pairs.outcomes import Outcome, write_outcomes
 from skyproof.results.rows_file import read_rows, write_rows
-from skyproof.results.score_folder import ScoreRecord, SetScore, write_record
+from skyproof.results.score_folder import ScoreFolder, ScoreRecord, SetScore, write_record
 from tests.results.counted import count_outcomes, on_tiles, write_counts
 
 
@@ -47,6 +47,10 @@ def outcomes():
 @pytest.fixture
 def tiles(outcomes):
     return count_outcomes(outcomes)
+
+
+def merged(folders):
+    return merge_scores([ScoreFolder.open(folder) for folder in folders])
 
 
 def test_counts_by_hand(tiles):
@@ -117,7 +121,7 @@ def make_folder(tmp_path):
 def test_folders_are_merged(make_folder):
     one = make_folder("one", {"T-U-0": [[1, 1, 0], [0, 2, 0]], "R-U-0": [[2, 0, 0], [2, 0, 0]]})
     two = make_folder("two", {"T-U-1": [[0, 2, 0], [0, 2, 0]], "R-U-0": [[2, 0, 0], [2, 0, 0]]})
-    tiles, sets = merge_counts([one, two])
+    tiles, sets = merged([one, two])
     assert [key.camouflage for key in tiles.series] == ["T-U-0", "R-U-0", "T-U-1"]
     assert tiles.series[Series("T-U-1", "torch", "yolov5", "iou_50")].tolist() == [
         [2, 0, 2, 0],
@@ -132,7 +136,7 @@ def test_two_renderers_are_merged(make_folder):
     other = make_folder(
         "cycles", {"T-U-0": [[2, 0, 0], [0, 1, 0]]}, precision=0.7, renderer="cycles"
     )
-    tiles, sets = merge_counts([one, other])
+    tiles, sets = merged([one, other])
     assert tiles.cells == (("a", "car"), ("b", "car"))
     assert tiles.series[Series("T-U-0", "torch", "yolov5", "iou_50")].tolist() == [
         [2, 1, 1, 0],
@@ -158,24 +162,24 @@ def test_repeats_that_other_detectors_judged_are_refused(make_folder):
     more = {key._replace(detector="retinanet"): counts for key, counts in tiles.series.items()}
     write_counts(two / "outcomes.parquet", OutcomeCounts(tiles.cells, {**tiles.series, **more}))
     with pytest.raises(
-        ConfigurationError, match="T-U-0 judged by yolov5, and another repeat of it"
+        ConfigurationError, match="T-U-0 scored with yolov5, and another repeat of it"
     ):
-        merge_counts([one, two])
+        merged([one, two])
 
 
 def test_contradictions_are_refused(make_folder, tmp_path):
     one = make_folder("one", {"T-U-0": [[1, 1, 0], [0, 2, 0]]})
-    with pytest.raises(ConfigurationError, match="different results for T-U-0 as seen by yolov5"):
-        merge_counts([one, make_folder("two", {"T-U-0": [[2, 0, 0], [0, 2, 0]]})])
+    with pytest.raises(ConfigurationError, match="different results for T-U-0 and yolov5"):
+        merged([one, make_folder("two", {"T-U-0": [[2, 0, 0], [0, 2, 0]]})])
     with pytest.raises(
-        ConfigurationError, match="different results for the images without camouflage as seen by"
+        ConfigurationError, match="different results for the images without camouflage and"
     ):
-        merge_counts([one, make_folder("three", {"T-U-1": [[1, 1, 0], [0, 2, 0]]}, precision=0.8)])
+        merged([one, make_folder("three", {"T-U-1": [[1, 1, 0], [0, 2, 0]]}, precision=0.8)])
     other = make_folder("four", {"T-U-2": [[1, 1, 0], [0, 2, 0]]})
     fewer = {Series("T-U-2", "torch", "yolov5", "iou_50"): np.array([[1, 0, 1, 0], [2, 0, 2, 0]])}
     write_counts(other / "outcomes.parquet", on_tiles("ab", fewer))
     with pytest.raises(ConfigurationError, match="same vehicles on the same tiles"):
-        merge_counts([one, other])
+        merged([one, other])
 
 
 def test_a_score_without_counts_is_passed_over(make_folder, tmp_path):
@@ -183,6 +187,6 @@ def test_a_score_without_counts_is_passed_over(make_folder, tmp_path):
     checked = tmp_path / "checked"
     checked.mkdir()
     write_record(checked, ScoreRecord({"yolov5": 0.5}))
-    tiles, sets = merge_counts([checked, one])
+    tiles, sets = merged([checked, one])
     assert list(tiles.series) == [Series("T-U-0", "torch", "yolov5", "iou_50")]
     assert len(sets) == 2

@@ -1,7 +1,5 @@
 """The verdict on each detector by a requirement, for the report and for `verdict.json`."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections.abc import Sequence

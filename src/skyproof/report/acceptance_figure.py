@@ -1,7 +1,5 @@
 """What a test does with better and worse detectors: its operating characteristic."""
 
-from __future__ import annotations
-
 import matplotlib.pyplot as plt
 
 from skyproof.report.figures import BLUE, GREY, ORANGE, STYLE, as_svg

@@ -1,7 +1,5 @@
 """Advice on the detectors, and the limits of the numbers; never how to hide."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """The result of one camouflage in plain sentences, with its uncertainty."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

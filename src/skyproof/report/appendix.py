@@ -1,7 +1,5 @@
 """The report's last parts: every row of the results, and every setting of the run."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from typing import Any

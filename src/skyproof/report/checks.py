@@ -1,7 +1,5 @@
 """The baseline of the detectors by image set, and what follows from it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

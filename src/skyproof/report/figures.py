@@ -1,7 +1,5 @@
 """The report's diagrams, each as one inline SVG."""
 
-from __future__ import annotations
-
 import io
 import math
 from collections.abc import Mapping, Sequence

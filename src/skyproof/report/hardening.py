@@ -1,7 +1,5 @@
 """Images to add to training, and the commands that make them; never how to hide."""
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """How attacks and trainings went: losses against steps, as parts of the page."""
 
-from __future__ import annotations
-
 from markupsafe import Markup
 
 from skyproof.camouflage.name import CamouflageName

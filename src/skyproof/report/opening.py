@@ -1,7 +1,5 @@
 """The first screen: the answer as one large figure, the detectors' state, and what to do next."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Whether the detectors were worth attacking: the first lines of a report, and their table."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

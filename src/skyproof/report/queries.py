@@ -1,7 +1,5 @@
 """Query attacks: transferred from other detectors, then optimised by queries; beside gradients."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Sequence

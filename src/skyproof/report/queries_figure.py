@@ -1,7 +1,5 @@
 """Success of query attacks against the number of queries."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

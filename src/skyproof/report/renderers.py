@@ -1,13 +1,11 @@
 """What is left of a camouflage under a second renderer, which neither attack nor training saw."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
 from skyproof import words
 from skyproof.results.result import Result
-from skyproof.results.results import Change, Results
+from skyproof.results.results import RendererChange, Results
 from skyproof.results.statistics.intervals import Interval
 
 
@@ -42,7 +40,7 @@ def compare_renderers(results: Results, first: Result, second: Result) -> list[C
     ]
 
 
-def survival(first: Result, gross: Change | None, net: Change | None) -> str:
+def survival(first: Result, gross: RendererChange | None, net: RendererChange | None) -> str:
     """Says whether the second renderer's images hide as many vehicles as the first's.
 
     Args:

@@ -30,7 +30,7 @@ from skyproof.reproduction.cells import (
 )
 from skyproof.reproduction.layout import PaperLayout
 from skyproof.reproduction.reproduction import Reproduction
-from skyproof.results.merge import merge_counts
+from skyproof.results.merge import merge_scores
 from skyproof.results.pairs.counts import Cell, OutcomeCounts, Series
 from skyproof.results.repeats import repeat_of
 from skyproof.results.result import MAIN_MATCH, MEAN
@@ -319,7 +319,7 @@ def read_trainings(results: Results) -> list[Training]:
         # What is hidden is being made, or a kill left it.
         if not any(path.is_dir() for path in place.scores.glob("[!.]*")):
             continue
-        tiles, _ = merge_counts([score.path for score in ScoreFolder.all_of(place.folder)])
+        tiles, _ = merge_scores(ScoreFolder.all_of(place.folder))
         trainings.append(Training(which, tiles, read_detectors(place.detectors)))
     for training in trainings[1:]:
         _refuse_other_vehicles(own, training)

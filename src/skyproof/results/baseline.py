@@ -1,7 +1,5 @@
 """How good one detector is on one set of images without camouflage, as it is stored and shown."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Annotated

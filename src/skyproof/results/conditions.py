@@ -3,8 +3,6 @@
 Each rate is the mean over detectors and repeats, with its interval.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable, Sequence

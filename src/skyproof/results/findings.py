@@ -4,8 +4,6 @@ An estimate within its limit passes. It fails only where its whole 95 % interval
 that few vehicles fail nobody; between the two it is borderline.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Matched pairs as pictures: vehicles that were found and missed, and false alarms, drawn in."""
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 from collections.abc import Mapping, Sequence

@@ -1,12 +1,10 @@
 """What a precheck measured of one detector, as `precheck.json` beside its card. No torch."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from msgspec import Meta, Struct
 
@@ -84,7 +82,7 @@ class MeasuredOn:
     ground_sha256: _Digest = ""
     fleet_sha256: _Digest = ""
 
-    def differing(self, other: MeasuredOn) -> list[str]:
+    def differing(self, other: Self) -> list[str]:
         """Says in what two checks differ; what one of them does not tell is passed over."""
         words = {
             "frames_sha256": "images or labels of frames",

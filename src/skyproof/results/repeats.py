@@ -1,7 +1,5 @@
 """What repeats of a camouflage are to statistics: seeds of an attack, or draws of a control."""
 
-from __future__ import annotations
-
 from skyproof.camouflage.name import CamouflageName
 from skyproof.results.statistics.repeats import DRAWS, SEEDS, Repeat
 

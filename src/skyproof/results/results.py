@@ -1,13 +1,11 @@
 """All results of a run, read from its score folders."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -16,7 +14,7 @@ from skyproof.detectors.card import DetectorCard
 from skyproof.files import inside, write_json
 from skyproof.layout import Layout
 from skyproof.results.baseline import Baseline
-from skyproof.results.merge import merge_counts
+from skyproof.results.merge import merge_scores
 from skyproof.results.pairs.counts import OutcomeCounts, Series
 from skyproof.results.pairs.outcomes import Outcome, read_outcomes
 from skyproof.results.repeats import repeat_of
@@ -49,12 +47,10 @@ CYCLES = "cycles"
 
 
 @dataclass(frozen=True)
-class Change:
-    """Mean EASR under two renderers over what both have, and the second minus the first.
+class RendererChange:
+    """Mean EASR under two renderers, and the second minus the first with its interval.
 
-    Attributes:
-        first, second: fractions.
-        difference: with its interval, paired by camouflage, repeat, tile and vehicle.
+    They are paired by camouflage, repeat, tile and vehicle.
     """
 
     first: float
@@ -64,19 +60,18 @@ class Change:
 
 @dataclass(frozen=True)
 class Results:
-    """What was measured in one run, from all of its score folders.
+    """All results of one run. What a run folder lacks is empty.
 
     Attributes:
-        folder: of the run.
+        folder: the run folder.
         scores: its score folders.
-        rows: the table of results, renderer by renderer, by every match criterion.
+        rows: the table of results, renderer by renderer, by each match rule.
         counts: counted outcomes that the rows come from.
-        baselines: of every detector on every set of images without camouflage.
-        config, environment: of the run; empty where missing.
-        timings: seconds of the run's stages; empty where missing.
-        cards: of the detectors, by name; empty where missing.
-        records: by camouflage folder of the run, what was recorded while it was made.
-        practicality: by camouflage without repeat, what it asks of those who would make it.
+        baselines: baseline of each detector on each set of images without camouflage.
+        config, environment, timings: records of the run.
+        cards: cards of the detectors, by name.
+        records: records of the camouflages, by folder.
+        practicality: practicality by camouflage without repeat.
     """
 
     folder: Path
@@ -92,7 +87,7 @@ class Results:
     practicality: Mapping[CamouflageName, Practicality]
 
     @classmethod
-    def open(cls, run_folder: str | Path) -> Results:
+    def open(cls, run_folder: str | Path) -> Self:
         """Reads a run folder, or a single score folder.
 
         Raises:
@@ -102,7 +97,7 @@ class Results:
         folder = Path(run_folder)
         layout = Layout(folder)
         scores = ScoreFolder.all_of(folder)
-        counts, sets = merge_counts([score.path for score in scores])
+        counts, sets = merge_scores(scores)
         config = read_config(layout.config)
         seed = scores[0].record.seed if config.seed is None else config.seed
         rows: list[Result] = []
@@ -127,14 +122,7 @@ class Results:
         )
 
     def write(self, worst: Sequence[Mapping[str, Any]] = ()) -> Path:
-        """Writes `results.json`: all rows and checks, rates as fractions, undefined ones null.
-
-        Args:
-            worst: rows of the worst cases, where there are any.
-
-        Raises:
-            RunFolderError: the disk cannot take it.
-        """
+        """Writes `results.json`; rates are fractions, undefined ones null."""
         path = Layout(self.folder).results
         rows = [row.json() for row in self.rows]
         baselines = [flat_row(baseline) for baseline in self.baselines]
@@ -143,21 +131,18 @@ class Results:
 
     @cached_property
     def detectors(self) -> list[str]:
-        """The detectors that camouflages were shown to, in the order of the first score.
-
-        Where nothing was compared, they are all that were checked.
-        """
+        """The detectors that scored camouflages, or all where there are only baselines."""
         return list(dict.fromkeys(row.detector for row in self._single_rows)) or self.all_detectors
 
     @cached_property
     def all_detectors(self) -> list[str]:
-        """All detectors of the scores, also those that were checked on clean images alone."""
+        """All detectors of the scores, also those with a baseline alone."""
         named = [name for score in self.scores for name in score.record.thresholds]
         return list(dict.fromkeys([*(row.detector for row in self._single_rows), *named]))
 
     @cached_property
     def renderers(self) -> list[str]:
-        """Who drew images that were compared, the attacks' own renderer first."""
+        """The renderers of compared images, that of the attacks first."""
         return list(dict.fromkeys(row.renderer for row in self.rows))
 
     @cached_property
@@ -167,7 +152,7 @@ class Results:
 
     @cached_property
     def sources(self) -> list[str]:
-        """What the ground was cut from, or ["procedural"]; empty where it is not recorded."""
+        """Sources of the ground, or ["procedural"]; empty if not recorded."""
         imagery = self.config.imagery
         if imagery:
             return [imagery] if isinstance(imagery, str) else imagery
@@ -222,11 +207,7 @@ class Results:
         return self.row(name, detector, renderer=row.renderer, match=LENIENT_MATCH)
 
     def outcomes(self, name: CamouflageName | None, renderer: str) -> list[Outcome]:
-        """Gives the outcomes of every repeat of a camouflage, or of all, at the main criterion.
-
-        Raises:
-            StoredFileError: a table of outcomes is damaged.
-        """
+        """Gives the outcomes of each repeat of a camouflage, or of all, by the main rule."""
         wanted = {
             key.camouflage
             for key in self.counts.series
@@ -242,7 +223,7 @@ class Results:
         ]
 
     def pairs(self, name: CamouflageName, renderer: str) -> list[tuple[Path, Pair]]:
-        """Lists the pictured scenes of a camouflage, each with the folder that its files lie in."""
+        """Lists the pictured scenes of a camouflage, each with the folder of its files."""
         return [
             (score.path / "pairs", pair)
             for score in self.scores
@@ -268,20 +249,12 @@ class Results:
         net: bool = False,
         first: str = RENDERER,
         second: str = CYCLES,
-    ) -> Change | None:
+    ) -> RendererChange | None:
         """Says how far the mean EASR of some camouflages moves from one renderer to another.
 
         Only repeats that were scored under both count, each paired with itself. The mean is over
-        camouflages, each of which is the mean of its repeats.
-
-        Args:
-            names: of the camouflages, without repeats.
-            detector: one alone; the mean over all where None.
-            net: minus what their random controls do, whose draws count alike.
-            first, second: the renderers.
-
-        Returns:
-            None where nothing is shared, or with `net` no control.
+        camouflages, each of which is the mean of its repeats. With `net`, the EASR of the random
+        control is subtracted. None where nothing is shared, or with `net` no control.
         """
         before, after = self._shared(set(names), detector, first, second)
         if before is None or after is None:
@@ -298,7 +271,7 @@ class Results:
             rates = (before.rate - random_before.rate, after.rate - random_after.rate)
         else:
             rates = (before.rate, after.rate)
-        return Change(*rates, difference_interval(plus, minus))
+        return RendererChange(*rates, difference_interval(plus, minus))
 
     def single_easr(self, camouflage: str) -> float | None:
         """Gives EASR of one single repeat, mean over detectors; None where unknown or undefined."""
@@ -306,10 +279,7 @@ class Results:
         return None if group is None or math.isnan(group.rate) else group.rate
 
     def single_interval(self, camouflage: str) -> Interval | None:
-        """Gives EASR of one single repeat with the interval of the test's tiles and vehicles.
-
-        None where unknown or undefined.
-        """
+        """Gives EASR of one single repeat with its interval; None where unknown or undefined."""
         group = self._group(camouflage)
         if group is None or math.isnan(group.rate):
             return None
@@ -344,7 +314,7 @@ class Results:
     def _shared(
         self, names: set[CamouflageName], detector: str | None, first: str, second: str
     ) -> tuple[Group, Group] | tuple[None, None]:
-        """Gathers under two renderers every repeat and detector that both have; None if none is."""
+        """Gathers the repeats and detectors that two renderers share."""
         shared = {
             key: self.counts.series.get(key._replace(renderer=second))
             for key in self.counts.series
@@ -374,12 +344,12 @@ class Results:
 
 
 def _merged_baselines(scores: Sequence[ScoreFolder]) -> list[Baseline]:
-    """Gives every check once, rendered images first: each score repeats that on the originals."""
-    checks = [check for score in scores for check in score.baselines()]
-    first = {(check.detector, check.dataset): check for check in reversed(checks)}
-    kept = [check for check in checks if first[check.detector, check.dataset] is check]
-    order = list(dict.fromkeys(check.detector for check in kept))
-    return sorted(kept, key=lambda check: order.index(check.detector))
+    """Gives each baseline once: score folders repeat that on the unchanged images."""
+    first: dict[tuple[str, str], Baseline] = {}
+    for baseline in (one for score in scores for one in score.baselines()):
+        first.setdefault((baseline.detector, baseline.dataset), baseline)
+    order = list(dict.fromkeys(detector for detector, _ in first))
+    return sorted(first.values(), key=lambda baseline: order.index(baseline.detector))
 
 
 def _practicality(scores: Sequence[ScoreFolder]) -> dict[CamouflageName, Practicality]:

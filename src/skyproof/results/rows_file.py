@@ -4,8 +4,6 @@ A row is a dataclass. An interval in it takes three columns ("easr", "easr_low",
 other part one for each of its attributes ("best_threshold"), null where there is no such part.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import MISSING, fields, is_dataclass

@@ -1,16 +1,14 @@
-"""A score folder: all that was measured in one go, and all that a report needs of it.
+"""A score folder: all measurements of one call, and everything that a report needs of them.
 
-It holds `score.json`, `outcomes.parquet`, `sets.json`, `baselines.json`,
-`detections/`, `pairs/` (pictures of some scenes), `patterns/` (what some camouflages look like) and
-`practicality.json`. `score.json` and `baselines.json` are always there.
+It holds `score.json`, `outcomes.parquet`, `sets.json`, `baselines.json`, `detections/`, `pairs/`
+(pictures of some scenes), `patterns/` (pictures of some camouflages) and `practicality.json`.
+`score.json` and `baselines.json` are always there.
 """
-
-from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Self
 
 from msgspec import Meta, Struct
 
@@ -27,14 +25,13 @@ from skyproof.results.stored import Label, Practicality, Text
 
 @dataclass(frozen=True)
 class ScoreRecord:
-    """What a score folder says of itself.
+    """Contents of `score.json`.
 
     Attributes:
-        thresholds: by detector, its frozen threshold; in the order in which they were given.
-        seed: of the bootstrap.
-        renderer: who drew the compared images; None where none were compared.
-        sources: what the ground of these images was cut from, or ["procedural"]; empty where it
-            is not known.
+        thresholds: frozen threshold of each detector, in the order in which they were given.
+        seed: seed of the bootstrap.
+        renderer: renderer of the compared images; None without any.
+        sources: sources of their ground, or ["procedural"]; empty if unknown.
     """
 
     thresholds: Mapping[Name, Annotated[float, Meta(ge=-1e6, le=1e6)]]
@@ -48,9 +45,8 @@ class Pair:
     """Two pictures of one scene, without and with a camouflage, as one detector sees them.
 
     Attributes:
-        camouflage, detector, scene: which they are.
-        why: why the scene was chosen.
-        vehicles, found_before, found_after: how many there are and were found.
+        why: reason for the choice of the scene.
+        vehicles, found_before, found_after: numbers of vehicles.
         original, adversarial: files, relative to the folder's `pairs`.
     """
 
@@ -69,11 +65,8 @@ class Pair:
 class SetScore:
     """One detector on one whole set of images; a row of `sets.json`.
 
-    Attributes:
-        camouflage: as in the outcomes; "original" for the images without camouflage.
-        renderer, detector, match: as in the outcomes.
-        average_precision: in [0, 1]; nan where undefined.
-        false_alarms_per_km2: at the frozen threshold; nan where undefined.
+    The camouflage of the unchanged images is "original". The two numbers are nan where undefined,
+    and false alarms are counted at the frozen threshold.
     """
 
     camouflage: Name
@@ -88,7 +81,7 @@ class _Pairs(Struct, frozen=True):
     rows: list[Pair]
 
 
-class _Account(Struct, frozen=True):
+class _PracticalityFile(Struct, frozen=True):
     rows: list[Practicality]
 
 
@@ -96,9 +89,8 @@ _REMEDY = "copy the whole folder again, or score again"
 
 
 def is_pictured(name: CamouflageName) -> bool:
-    """Says whether pairs, portrait and practicality of a camouflage are kept.
-
-    They are of learnt ones as they finally are, and of the first of several repeats.
+    """Says whether pairs, portrait and practicality of a camouflage are kept: of finished optimised
+    ones, and of the first of several repeats.
     """
     return not name.random and not name.variant and name.repeat in ("", "0")
 
@@ -115,28 +107,24 @@ def write_pairs(folder: Path, pairs: Sequence[Pair]) -> None:
 
 @dataclass(frozen=True)
 class ScoreFolder:
-    """A score folder, opened.
+    """A score folder, opened. Reading a damaged file raises StoredFileError.
 
     Attributes:
-        path: where it lies.
-        record: what it says of itself.
+        path: its place.
+        record: contents of `score.json`.
     """
 
     path: Path
     record: ScoreRecord
 
     @classmethod
-    def open(cls, path: Path) -> ScoreFolder:
-        """Reads a score folder's record.
-
-        Raises:
-            StoredFileError: `score.json` is missing or damaged.
-        """
+    def open(cls, path: Path) -> Self:
+        """Reads a score folder's record."""
         return cls(path, read_document(path / "score.json", ScoreRecord, _REMEDY))
 
     @classmethod
-    def all_of(cls, run_folder: Path) -> list[ScoreFolder]:
-        """Opens all score folders of a run, or the folder itself where it is one; by their names.
+    def all_of(cls, run_folder: Path) -> list[Self]:
+        """Opens all score folders of a run by name, or the folder itself if it is one.
 
         Raises:
             StoredFileError: there is none, or one is damaged.
@@ -146,7 +134,7 @@ class ScoreFolder:
         places = sorted(
             path
             for path in Layout(run_folder).scores.glob("*")
-            # What is hidden is being made, or a kill left it.
+            # A hidden folder is being made, or a kill left it.
             if path.is_dir() and not path.name.startswith(".")
         )
         if not places:
@@ -157,39 +145,21 @@ class ScoreFolder:
         return [cls.open(place) for place in places]
 
     def pairs(self) -> list[Pair]:
-        """Gives the pictured scenes; empty where there are none.
-
-        Raises:
-            StoredFileError: `pairs.json` is damaged.
-        """
-        path = self.path / "pairs" / "pairs.json"
-        if not path.exists():
-            return []
-        return read_document(path, _Pairs, _REMEDY).rows
+        """Gives the pictured scenes; empty where there are none."""
+        return self._optional(Path("pairs", "pairs.json"), _Pairs)
 
     def baselines(self) -> list[Baseline]:
-        """Gives how good the detectors are without camouflage.
-
-        Raises:
-            StoredFileError: `baselines.json` is missing or damaged.
-        """
+        """Gives the baseline of each detector and dataset."""
         return read_rows(self.path / "baselines.json", Baseline, _REMEDY)
 
     def sets(self) -> list[SetScore]:
-        """Gives average precision and false alarms of every set that was compared.
-
-        Raises:
-            StoredFileError: `sets.json` is missing or damaged.
-        """
+        """Gives average precision and false alarms of each set."""
         return read_rows(self.path / "sets.json", SetScore, _REMEDY)
 
     def practicality(self) -> list[Practicality]:
-        """Says what the camouflages ask of those who would make them; empty where not measured.
+        """Gives the practicality of the pictured camouflages; empty where not measured."""
+        return self._optional(Path("practicality.json"), _PracticalityFile)
 
-        Raises:
-            StoredFileError: `practicality.json` is damaged.
-        """
-        path = self.path / "practicality.json"
-        if not path.exists():
-            return []
-        return read_document(path, _Account, _REMEDY).rows
+    def _optional(self, file: Path, form: Any) -> list[Any]:
+        path = self.path / file
+        return list(read_document(path, form, _REMEDY).rows) if path.exists() else []

@@ -1,6 +1,4 @@
-"""What a report reads of a run folder beside its scores, checked as it is read."""
-
-from __future__ import annotations
+"""Records of a run folder beside its scores, checked as they are read."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,27 +12,21 @@ from skyproof.errors import StoredFileError
 from skyproof.ranges import Name, Seed, WholeNumber
 
 Finite = Annotated[float, Meta(ge=-1e15, le=1e15)]
-"""Any number that a table can show."""
-
 Number = Annotated[int, Meta(ge=-(10**15), le=10**15)] | Finite
-"""A number that stays whole where it is."""
-
 Label = Annotated[str, Meta(min_length=1, max_length=300)]
-"""A few words."""
-
 Text = Annotated[str, Meta(max_length=10_000)]
-"""Some sentences, or a command."""
+_Measured = dict[Label, Number | bool | None]
 
 _REMEDY = "copy the whole folder again, or move this file away"
 
 
 class RunConfig(Struct, frozen=True):
-    """What the results and the report need of a run's `config.json`.
+    """The part of a run's `config.json` that results and report need.
 
     Attributes:
-        title: of the report; None where it is not given.
-        seed: of the bootstrap; None where it is not given.
-        imagery: what the ground was cut from.
+        title: title of the report, if given.
+        seed: seed of the bootstrap, if given.
+        imagery: source of the ground.
         every: all settings as plain values, to be shown.
     """
 
@@ -49,7 +41,7 @@ class _Commands(Struct, frozen=True):
 
 
 class Timing(Struct, frozen=True, kw_only=True):
-    """One row of `timings.json`: how long a step took, and what memory it held."""
+    """One row of `timings.json`: duration of a step, and the memory it held."""
 
     stage: Label
     name: Label | None = None
@@ -62,20 +54,20 @@ class _Attack(Struct, frozen=True):
 
 
 class Discretisation(Struct, frozen=True):
-    """Every detector's loss before and after the last rounding."""
+    """Loss of each detector before and after the last rounding."""
 
     before: dict[Label, Finite] = {}
     after: dict[Label, Finite] = {}
 
 
 class Convergence(Struct, frozen=True):
-    """What the second half of an attack's steps added, on scenes that none of them saw.
+    """Gain of the second half of an attack's steps, on scenes outside the attack.
 
     Attributes:
-        steps: half of them, and all.
-        hidden: EASR after so many, mean over the detectors.
-        scenes: how many it was measured on.
-        converged: whether little was added.
+        steps: half of the steps, and all.
+        hidden: EASR after each, mean over the detectors.
+        scenes: number of scenes.
+        converged: whether the gain was small.
     """
 
     steps: tuple[WholeNumber, WholeNumber]
@@ -85,20 +77,20 @@ class Convergence(Struct, frozen=True):
 
 
 class Queries(Struct, frozen=True):
-    """Of a camouflage that was sought by answers: how many images the detector was shown."""
+    """Number of images that a query attack showed the detector."""
 
     images: WholeNumber
 
 
 class AttackRecord(Struct, frozen=True):
-    """What the tables need of what was recorded while a camouflage was made.
+    """The record of a camouflage's making.
 
     Attributes:
-        attack: which detectors it was learnt against; None of one that was drawn.
-        discretisation: every detector's loss before and after the last rounding.
-        sign_test: by detector, what a few vehicles painted at random showed.
-        convergence: whether more steps would have hidden more; None where it was not asked.
-        queries: what a search by answers cost; None of what was learnt or drawn.
+        attack: detectors of a gradient attack; None for drawn camouflages.
+        convergence: whether more steps would hide more, if measured.
+        queries: cost of a query attack; None for others.
+        discretisation: losses before and after the last rounding.
+        sign_test: by detector, effects of a few random paints.
     """
 
     attack: _Attack | None = None
@@ -113,24 +105,24 @@ class _Camouflage(Struct, frozen=True):
 
 
 class _Signs(Struct, frozen=True):
-    texture: dict[Label, Number | bool | None]
-    shape: dict[Label, Number | bool | None]
+    texture: _Measured
+    shape: _Measured
     total: Number
 
 
 class Practicality(Struct, frozen=True):
-    """One row of `practicality.json`: what a camouflage asks of those who would make it.
+    """One row of `practicality.json`: the effort of making a camouflage.
 
     Attributes:
-        name: the camouflage's.
-        score: the signs of texture and shape, and their total.
-        texture, shape: measured quantities; None for a side left alone.
+        name: name of the camouflage.
+        score: signs of texture and shape, and their total.
+        texture, shape: measured quantities; None for an unchanged side.
     """
 
     name: Name
     score: _Signs
-    texture: dict[Label, Number | bool | None] | None = None
-    shape: dict[Label, Number | bool | None] | None = None
+    texture: _Measured | None = None
+    shape: _Measured | None = None
 
 
 class _Tile(Struct, frozen=True):
@@ -150,12 +142,11 @@ class LogRow(Struct, frozen=True):
     losses: dict[Label, Finite] | None = None
 
 
-def read_config(path: Path) -> RunConfig:
-    """Reads a run's `config.json`; all defaults where it is missing.
+# Each of the following raises StoredFileError for a file of another form.
 
-    Raises:
-        StoredFileError: the file is of another form.
-    """
+
+def read_config(path: Path) -> RunConfig:
+    """Reads a run's `config.json`; all defaults where it is missing."""
     if not path.exists():
         return RunConfig()
     every: dict[str, Any] = read_document(path, dict[str, Any], _REMEDY)
@@ -164,11 +155,7 @@ def read_config(path: Path) -> RunConfig:
 
 
 def read_environment(path: Path) -> Mapping[str, Any]:
-    """Reads what `environment.json` says of the machine and the versions; empty where missing.
-
-    Raises:
-        StoredFileError: the file is of another form.
-    """
+    """Reads `environment.json`: machine and versions; empty where missing."""
     if not path.exists():
         return {}
     every: dict[str, Any] = read_document(path, dict[str, Any], _REMEDY)
@@ -178,31 +165,18 @@ def read_environment(path: Path) -> Mapping[str, Any]:
 
 
 def read_timings(path: Path) -> list[Timing]:
-    """Reads how long the steps of a run took; empty where missing.
-
-    Raises:
-        StoredFileError: the file is of another form.
-    """
+    """Reads the durations of a run's steps; empty where missing."""
     return read_document(path, list[Timing], _REMEDY) if path.exists() else []
 
 
 def read_detectors(folder: Path) -> dict[str, DetectorCard]:
-    """Reads what is recorded of the detectors of a run, by folder.
-
-    Raises:
-        StoredFileError: a file is of another form.
-    """
-    return {
-        path.parent.name: read_card(path.parent) for path in sorted(folder.glob("*/detector.json"))
-    }
+    """Reads the cards of a run's detectors, by folder."""
+    places = [path.parent for path in sorted(folder.glob("*/detector.json"))]
+    return {place.name: read_card(place) for place in places}
 
 
 def read_records(folder: Path) -> dict[str, AttackRecord]:
-    """Reads what was recorded while the camouflages of a run were made, by folder.
-
-    Raises:
-        StoredFileError: a file is of another form.
-    """
+    """Reads the records of a run's camouflages, by folder."""
     return {
         path.parent.name: read_document(path, _Camouflage, _REMEDY).record or AttackRecord()
         for path in sorted(folder.glob("*/camouflage.json"))
@@ -210,21 +184,13 @@ def read_records(folder: Path) -> dict[str, AttackRecord]:
 
 
 def read_sources(path: Path) -> list[str]:
-    """Reads what the tiles of a background set were cut from, from its `index.json`.
-
-    Raises:
-        StoredFileError: the file is of another form.
-    """
+    """Reads the sources of the tiles of a background set from its `index.json`."""
     index: _Index = read_document(path, _Index, _REMEDY)
     return [tile.source for tile in index.tiles]
 
 
 def read_log(path: Path) -> list[LogRow]:
-    """Reads the log of a training or an attack.
-
-    Raises:
-        StoredFileError: the file is of another form.
-    """
+    """Reads the log of a training or an attack."""
     rows: list[LogRow] = read_lines(path, LogRow, _REMEDY)
     for row in rows:
         if row.kind != "validation" and row.loss is None and row.losses is None:

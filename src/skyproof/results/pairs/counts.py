@@ -3,13 +3,11 @@
 They are all that success rates and their intervals need of any number of vehicles.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 import pyarrow as pa
@@ -55,7 +53,7 @@ class OutcomeCounts:
     cells: tuple[Cell, ...]
     series: Mapping[Series, Int[np.ndarray, "N 4"]]
 
-    def of(self, renderer: str, match: str) -> OutcomeCounts:
+    def of(self, renderer: str, match: str) -> Self:
         """Gives the series of one renderer and match rule, on the cells that they show."""
         series = {
             key: counts
@@ -63,9 +61,10 @@ class OutcomeCounts:
             if (key.renderer, key.match) == (renderer, match)
         }
         shown = np.any([counts[:, 0] > 0 for counts in series.values()], axis=0)
-        return OutcomeCounts(
-            tuple(itertools.compress(self.cells, shown)),
-            {key: counts[shown] for key, counts in series.items()},
+        return replace(
+            self,
+            cells=tuple(itertools.compress(self.cells, shown)),
+            series={key: counts[shown] for key, counts in series.items()},
         )
 
 

@@ -3,8 +3,6 @@
 The rows are plain data and need no torch.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Reading Parquet tables that this package wrote; nothing else gets in."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any

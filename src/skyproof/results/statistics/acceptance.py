@@ -11,8 +11,6 @@ variables by betting", 2024). The gambler here divides the 1 evenly over fixed b
 order of the tiles does not matter.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ What a test has shown is decided in `skyproof.results.statistics.acceptance`. He
 simulated, so that an intra-tile correlation has to be assumed.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ The first is McNemar's exact test against no camouflage, which a random pattern 
 second is a permutation test against each draw of the random control, on the same vehicles.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -16,8 +16,6 @@ bootstrap, in which tiles and vehicles are both resampled: where most cells show
 our tests, that counts the chance of the single vehicle three times.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field

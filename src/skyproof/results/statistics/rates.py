@@ -5,8 +5,6 @@ both images (V_dd), detected in the original only (V_dm), detected in the advers
 So one formula serves a single number and thousands of bootstrap replicates.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 from jaxtyping import Float, Num

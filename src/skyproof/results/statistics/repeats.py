@@ -1,7 +1,5 @@
 """How far seeds of an attack, draws of a control and trainings of detectors leave a mean open."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,10 +1,9 @@
 """Which tiles and which vehicles were drawn: what the counts of a test are crossed by."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from jaxtyping import Float, Int, Num
@@ -35,7 +34,7 @@ class Sample:
         *,
         generator: np.random.Generator,
         replicates: int = REPLICATES,
-    ) -> Sample:
+    ) -> Self:
         """Makes the sample of cells (tile, vehicle), and resamples its tiles."""
         tiles = np.array([tile for tile, _ in cells], dtype=object)
         vehicles = np.array([vehicle for _, vehicle in cells], dtype=object)
