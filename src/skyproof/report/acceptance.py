@@ -37,12 +37,12 @@ class Ruling:
     """The verdict on one detector.
 
     Attributes:
-        detector: its name.
-        answer: accepted, rejected or undecided; not applicable after a failed or missing precheck.
+        detector: name of the detector.
+        answer: the verdict; not applicable after a failed or missing precheck.
         sentences: the answer and its reason.
-        more_vehicles: further vehicles, on tiles like these, that would decide; 0 where it is
-            decided, None where no number would or the question does not arise.
-        attacks: by camouflage and renderer, the strongest first; empty where not applicable.
+        more_vehicles: number of further vehicles that would decide, on tiles like these; 0 if
+            decided, None if no number would or there is no verdict.
+        attacks: evidence by camouflage and renderer, the strongest first.
     """
 
     detector: str
@@ -54,46 +54,30 @@ class Ruling:
 
 @dataclass(frozen=True)
 class Acceptance:
-    """The part of the page.
+    """The page's part on the verdict: requirement, rulings, operating characteristic and scope."""
 
-    Attributes:
-        asked: the requirement, in a sentence.
-        rulings: detector by detector.
-        figure: the operating characteristic; None where the run is too small for one.
-        validity: the scope of the verdict, in a sentence.
-    """
-
-    asked: str
+    requirement: str
     rulings: Sequence[Ruling]
     figure: Markup | None
     validity: str
 
 
-class _Asked(Struct, frozen=True):
+class _Verdict(Struct, frozen=True):
     requirement: Requirement
 
 
 def read_requirement(path: Path) -> Requirement | None:
-    """Reads the requirement of an earlier report; None without one.
-
-    Raises:
-        StoredFileError: the file is damaged.
-    """
-    return read_document(path, _Asked, _REMEDY).requirement if path.exists() else None
+    """Reads the requirement of an earlier report; None without one."""
+    return read_document(path, _Verdict, _REMEDY).requirement if path.exists() else None
 
 
 def rule(results: Results, requirement: Requirement, alarms: Sequence[str] = ()) -> Acceptance:
-    """Decides on every detector of a run that did not fail its precheck.
+    """Decides on each detector of a run that did not fail its precheck.
 
     Attacks are all camouflages of the run on all renderers: those optimised on any detectors and in
-    any weather, query attacks, and chosen controls, every repeat by itself. Single random draws and
-    copies of unfinished camouflages are none. Under gradient masking no detector is accepted,
-    because other attacks could hide more.
-
-    Args:
-        results: of the run.
-        requirement: accepted and rejected shares with their risks.
-        alarms: a sentence for every attack that hides more by queries than by gradients.
+    any weather, query attacks and chosen controls, each repeat by itself. Single random draws and
+    copies of unfinished camouflages are none. With alarms of gradient masking no detector is
+    accepted, because other attacks could hide more.
 
     Raises:
         ConfigurationError: no camouflage of the run is such an attack.
@@ -125,7 +109,7 @@ def rule(results: Results, requirement: Requirement, alarms: Sequence[str] = ())
             ruling = _ruling(name, decision, results, requirement)
             rulings.append(_doubted(ruling, requirement) if alarms else ruling)
     figure = _figure(results, requirement)
-    return Acceptance(_asked(requirement), rulings, figure, _validity(results))
+    return Acceptance(_requirement(requirement), rulings, figure, _validity(results))
 
 
 def write_verdict(
@@ -133,7 +117,7 @@ def write_verdict(
 ) -> None:
     """Writes `verdict.json`: the answers, and digests of everything that they rest on."""
     layout = Layout(results.folder)
-    cards = results.cards
+    digests = {name: card.weights_sha256 for name, card in results.cards.items()}
     scenes = layout.scenes("test")
     document = {
         "skyproof": skyproof.__version__,
@@ -146,9 +130,7 @@ def write_verdict(
                 "answer": ruling.answer,
                 "sentences": list(ruling.sentences),
                 "more_vehicles": ruling.more_vehicles,
-                "weights_sha256": cards[ruling.detector].weights_sha256
-                if ruling.detector in cards
-                else "",
+                "weights_sha256": digests.get(ruling.detector, ""),
                 "attacks": {name: asdict(said) for name, said in ruling.attacks.items()},
             }
             for ruling in acceptance.rulings
@@ -260,7 +242,7 @@ def _how(more_tiles: int, results: Results) -> str:
     return f" Imagery with about {tiles_to_show(needed, scenes):,} test tiles is enough."
 
 
-def _asked(requirement: Requirement) -> str:
+def _requirement(requirement: Requirement) -> str:
     return (
         f"Requirement: accept a detector that loses {percent(requirement.accept)} of its found "
         f"vehicles to the strongest attack, and reject one that loses "

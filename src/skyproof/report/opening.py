@@ -7,7 +7,7 @@ from typing import Literal
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.report.acceptance import Acceptance, Ruling
-from skyproof.report.checks import CheckedSet
+from skyproof.report.baseline import BaselineSet
 from skyproof.report.precheck import PrecheckPart
 from skyproof.results.result import MEAN, Result
 from skyproof.results.statistics.intervals import Interval
@@ -44,7 +44,7 @@ def opening(
     every: Sequence[Result],
     acceptance: Acceptance | None,
     precheck: PrecheckPart,
-    checked: Sequence[CheckedSet],
+    baselines: Sequence[BaselineSet],
     *,
     hardened_by: bool,
 ) -> Opening:
@@ -54,15 +54,15 @@ def opening(
         every: result to quote of each camouflage.
         acceptance: what was decided of the detectors; None where nothing was asked.
         precheck: whether they were worth attacking.
-        checked: the image sets that their baseline was measured on.
+        baselines: image sets of their baseline.
         hardened_by: whether the page says how to harden the detectors.
     """
-    steps = _next_steps(every, acceptance, precheck, checked, hardened_by)
+    steps = _next_steps(every, acceptance, precheck, baselines, hardened_by)
     if acceptance is not None:
         return _ruled(max(acceptance.rulings, key=lambda each: _SEVERITY.index(each.answer)), steps)
     row = strongest_of(every)
     if row is None:
-        return _baseline(checked, steps)
+        return _baseline(baselines, steps)
     whose = (
         "the detectors found" if row.detector == MEAN else f"{detector_name(row.detector)} found"
     )
@@ -106,13 +106,13 @@ def _ruled(ruling: Ruling, steps: Sequence[str]) -> Opening:
     )
 
 
-def _baseline(checked: Sequence[CheckedSet], steps: Sequence[str]) -> Opening:
+def _baseline(baselines: Sequence[BaselineSet], steps: Sequence[str]) -> Opening:
     """No camouflage was scored: the lowest baseline is the figure."""
     known = [
-        (check.ap_centre_1m, check.detector, each.name)
-        for each in checked
-        for check in each.checks
-        if check is not None and not math.isnan(check.ap_centre_1m.estimate)
+        (one.ap_centre_1m, one.detector, each.name)
+        for each in baselines
+        for one in each.baselines
+        if one is not None and not math.isnan(one.ap_centre_1m.estimate)
     ]
     if not known:
         return Opening("neutral", "Nothing was scored", "", "", "", "", steps)
@@ -132,7 +132,7 @@ def _next_steps(
     every: Sequence[Result],
     acceptance: Acceptance | None,
     precheck: PrecheckPart,
-    checked: Sequence[CheckedSet],
+    baselines: Sequence[BaselineSet],
     hardened_by: bool,
 ) -> list[str]:
     steps = []
@@ -151,7 +151,7 @@ def _next_steps(
     more = [each for each in acceptance.rulings if each.more_vehicles] if acceptance else []
     if more:
         steps.append("Add test vehicles: the details below say how many would decide.")
-    if not any(each.real for each in checked):
+    if not any(each.real for each in baselines):
         steps.append(
             "Measure the detectors on annotated photographs (--labels of assess, --frames of "
             "precheck) before you quote a figure for real imagery."

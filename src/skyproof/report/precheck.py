@@ -1,4 +1,4 @@
-"""Whether the detectors were worth attacking: the first lines of a report, and their table."""
+"""The precheck of a run's detectors, for the first screen and its table."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -6,58 +6,36 @@ from dataclasses import dataclass
 from skyproof.layout import Layout
 from skyproof.results.findings import (
     Finding,
-    Outcome,
+    FindingOutcome,
     findings,
     misfit_thresholds,
-    rate_outcome,
-    rate_words,
     worst,
 )
-from skyproof.results.precheck import Kind, MeasuredOn, PrecheckRecord, read_prechecks
+from skyproof.results.precheck import Kind, MeasuredOn, Rate, read_prechecks
 from skyproof.results.results import Results
 from skyproof.scenes.scene import read_scenes, scenes_digest
-from skyproof.words import detector_name, interval, percent
+from skyproof.words import detector_name
 
 _STRIPS: dict[Kind, str] = {"paint_body": "body panels", "paint_whole": "whole vehicle"}
-_BRIGHT = 128
 
 
 @dataclass(frozen=True)
-class Swatch:
-    """A plain paint as a coloured square.
+class PrecheckState:
+    """The precheck of one detector.
 
     Attributes:
-        colour: "#ff8000".
-        ink: black or white, whichever can be read on it.
-        easr: what it hides, in percent, without the unit.
-        outcome: passed, borderline or failed.
-        words: the paint and its rate in words.
-    """
-
-    colour: str
-    ink: str
-    easr: str
-    outcome: Outcome
-    words: str
-
-
-@dataclass(frozen=True)
-class State:
-    """What the precheck says of one detector.
-
-    Attributes:
-        name: as people write it.
-        outcome: None where the precheck was not run.
+        name: name of the detector in words.
+        outcome: None without a precheck.
         words: the worst finding, in a sentence.
     """
 
     name: str
-    outcome: Outcome | None
+    outcome: FindingOutcome | None
     words: str
 
     @property
     def title(self) -> str:
-        """The outcome in words; a failure is loud."""
+        """The outcome in words; a failure in capitals."""
         if self.outcome is None:
             return "no precheck"
         return f"precheck {self.outcome.upper() if self.outcome == 'failed' else self.outcome}"
@@ -65,33 +43,31 @@ class State:
 
 @dataclass(frozen=True)
 class PrecheckPart:
-    """The precheck of a run's detectors: whether they were worth attacking.
+    """The precheck of a run's detectors.
 
     Attributes:
-        states: detector by detector.
-        notes: what limits the precheck, a sentence each.
-        names: the detectors that were prechecked.
+        states: one per detector.
+        notes: limits of the precheck, a sentence each.
+        names: detectors with a precheck.
         rows: per criterion, the finding of each of them; None where it was not measured.
-        strips: per detector and kind of paint all paints, in the order of the lattice.
+        strips: per detector and kind of paint the rates of all paints, with a title.
     """
 
-    states: Sequence[State]
+    states: Sequence[PrecheckState]
     notes: Sequence[str]
     names: Sequence[str]
     rows: Sequence[tuple[str, Sequence[Finding | None]]]
-    strips: Sequence[tuple[str, Sequence[Swatch]]]
+    strips: Sequence[tuple[str, Sequence[Rate]]]
 
     @property
     def sentences(self) -> list[str]:
         """States and notes as running text."""
-        return [
-            *(f"{each.name}: {each.title}. {each.words}".strip() for each in self.states),
-            *self.notes,
-        ]
+        states = [f"{each.name}: {each.title}. {each.words}".strip() for each in self.states]
+        return [*states, *self.notes]
 
 
 def precheck_part(results: Results) -> PrecheckPart:
-    """Reads what `skyproof precheck` left beside the detectors of a run.
+    """Reads the prechecks beside the detectors of a run.
 
     Raises:
         StoredFileError: a `precheck.json`, or the file of the test scenes, is damaged.
@@ -110,35 +86,27 @@ def precheck_part(results: Results) -> PrecheckPart:
             "A detector that fails the precheck may lose vehicles for the reason found there, not "
             "because of the attack."
         )
-    criteria = dict.fromkeys(each.criterion for own in found.values() for each in own)
-    rows = [
-        (
-            name,
-            [next((one for one in own if one.criterion == name), None) for own in found.values()],
-        )
-        for name in criteria
-    ]
+    by_criterion = [{each.criterion: each for each in own} for own in found.values()]
+    criteria = dict.fromkeys(name for own in by_criterion for name in own)
+    rows = [(name, [own.get(name) for own in by_criterion]) for name in criteria]
     strips = [
-        (f"{detector_name(name)}, {where}", _swatches(records[name], kind))
+        (f"{detector_name(name)}, {where}", records[name].of_kind(kind))
         for name in found
         for kind, where in _STRIPS.items()
     ]
     return PrecheckPart(states, notes, list(found), rows, strips)
 
 
-def _state(name: str, found: Sequence[Finding] | None) -> State:
-    shown = detector_name(name)
+def _state(name: str, found: Sequence[Finding] | None) -> PrecheckState:
     if found is None:
-        return State(shown, None, "")
+        return PrecheckState(detector_name(name), None, "")
     last = worst(found)
-    return State(shown, last.outcome, f"{last.words[0].upper()}{last.words[1:]}.")
+    words = f"{last.words[0].upper()}{last.words[1:]}."
+    return PrecheckState(detector_name(name), last.outcome, words)
 
 
 def _elsewhere(measured: Mapping[str, MeasuredOn], results: Results) -> list[str]:
-    """Says of which detectors the check was not made on this run's own test scenes.
-
-    So it is with detectors that were checked before they came into the run.
-    """
+    """Names the detectors whose precheck was made on other scenes."""
     place = Layout(results.folder).scenes("test")
     if not measured or not place.exists():
         return []
@@ -153,23 +121,3 @@ def _elsewhere(measured: Mapping[str, MeasuredOn], results: Results) -> list[str
         "not on the scenes of this run."
         for (count, ground), names in others.items()
     ]
-
-
-def _swatches(record: PrecheckRecord, kind: Kind) -> list[Swatch]:
-    swatches = []
-    for rate in record.of_kind(kind):
-        red, green, blue = bytes.fromhex(rate.name.removeprefix("#"))
-        bright = 0.3 * red + 0.59 * green + 0.11 * blue > _BRIGHT
-        limits = interval(rate.easr.low, rate.easr.high)
-        shown = percent(rate.easr.estimate)
-        unit = percent(0).removeprefix("0")
-        swatches.append(
-            Swatch(
-                rate.name,
-                "#000" if bright else "#fff",
-                shown.removesuffix(unit),
-                rate_outcome(rate),
-                f"{rate_words(rate)}: {shown} ({limits})",
-            )
-        )
-    return swatches

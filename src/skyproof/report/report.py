@@ -19,7 +19,7 @@ from skyproof.report.acceptance import read_requirement, rule, write_verdict
 from skyproof.report.advice import advice, limits
 from skyproof.report.answer import answer, worst_case
 from skyproof.report.appendix import flat_settings, full_tables
-from skyproof.report.checks import checked_sets, standing
+from skyproof.report.baseline import baseline_sets, standing
 from skyproof.report.embedded import embedded, embedded_jpeg
 from skyproof.report.figures import condition_figure, forest_figure
 from skyproof.report.hardening import hardening, readings
@@ -29,12 +29,14 @@ from skyproof.report.precheck import precheck_part
 from skyproof.report.queries import query_part
 from skyproof.report.renderers import compare_renderers, survival
 from skyproof.results.conditions import Panel, condition_panels
+from skyproof.results.findings import rate_outcome, rate_words
 from skyproof.results.result import Result
 from skyproof.results.results import Results
 from skyproof.results.statistics.acceptance import Requirement
 from skyproof.results.worst import worst_cases
 
 _SEED = 20240
+_BRIGHT = 128
 _PAIRS_OF_SECOND = 3
 _FEW = 4
 """Up to this number of camouflages, each has a section of its own. Beyond it, all but the strongest
@@ -141,7 +143,7 @@ def _write(
     in_full = every if few else [strongest] if strongest and not more else []
     exhibits = [] if few else _exhibits([row for row in every if row not in in_full])
     precheck = precheck_part(results)
-    checked = checked_sets(results)
+    baselines = baseline_sets(results)
     hardened = hardening(results, every, contents.panels)
     page = (
         _environment()
@@ -162,8 +164,10 @@ def _write(
             query=query,
             precheck=precheck,
             standing=standing(results),
-            checked=checked,
-            opening=opening(every, acceptance, precheck, checked, hardened_by=hardened is not None),
+            baselines=baselines,
+            opening=opening(
+                every, acceptance, precheck, baselines, hardened_by=hardened is not None
+            ),
             example=next(iter(contents.pairs(strongest, 1)), None) if strongest else None,
             tables=full_tables(results),
             more=more,
@@ -195,9 +199,18 @@ def _environment() -> jinja2.Environment:
         words.evidence,
         words.detector_name,
         words.renderer_name,
+        rate_outcome,
+        rate_words,
+        ink,
     )
     environment.filters |= {function.__name__: function for function in filters}
     return environment
+
+
+def ink(colour: str) -> str:
+    """Gives black or white, whichever can be read on a colour "#ff8000"."""
+    red, green, blue = bytes.fromhex(colour.removeprefix("#"))
+    return "#000" if 0.3 * red + 0.59 * green + 0.11 * blue > _BRIGHT else "#fff"
 
 
 class _Contents:

@@ -1,7 +1,7 @@
-"""Whether a detector passed the precheck: each criterion and what was found. Needs no torch.
+"""The findings of a precheck by criterion. Needs no torch.
 
-An estimate within its limit passes. It fails only where its whole 95 % interval lies beyond, so
-that few vehicles fail nobody; between the two it is borderline.
+An estimate within its limit passes. It fails if its whole 95 % interval lies beyond, so that a test
+with few vehicles does not fail a detector by chance. In between it is borderline.
 """
 
 import math
@@ -15,17 +15,17 @@ from skyproof.results.statistics.intervals import Interval
 from skyproof.words import detector_name, interval, percent
 
 LEAST_AP_RENDERED = 0.95
-"""Clean average precision (centre within 1 m) on rendered scenes."""
+"""Smallest baseline AP (centre within 1 m) on rendered scenes."""
 
 LEAST_AP_PHOTOGRAPHS = 0.85
-"""The same on photographs, which a detector trained on renders sees for the first time."""
+"""Smallest baseline AP on photographs, which are new to a detector trained on renders."""
 
 LARGEST_EASR = 0.05
-"""What a change that nobody optimised may hide: the paper's random controls hide 1 to 4 %."""
+"""Largest EASR of a change without optimisation: the paper's random controls hide 1 to 4 %."""
 
-Outcome = Literal["passed", "borderline", "failed"]
+FindingOutcome = Literal["passed", "borderline", "failed"]
 
-_SEVERITY: dict[Outcome, int] = {"passed": 0, "borderline": 1, "failed": 2}
+_SEVERITY: dict[FindingOutcome, int] = {"passed": 0, "borderline": 1, "failed": 2}
 _MANY: dict[Kind, str] = {
     "paint_body": "plain paints on body panels",
     "paint_whole": "plain paints on the whole vehicle",
@@ -38,19 +38,19 @@ _MANY: dict[Kind, str] = {
 
 @dataclass(frozen=True)
 class Finding:
-    """What was found by one criterion.
+    """The finding of one criterion.
 
     Attributes:
         criterion: its name: "plain paints on body panels".
         outcome: passed, borderline or failed.
-        words: what was found, without a capital or a full stop.
-        figure: the same in a table: "RGB (128, 128, 0) 97 % (90 to 99 %)".
-        beyond: how far the estimate lies beyond its limit; below 0 where it is within.
-        rates: of the changes that were tried, largest first; none of clean images.
+        words: the finding as a clause.
+        figure: the finding as a cell of a table: "RGB (128, 128, 0) 97 % (90 to 99 %)".
+        beyond: distance of the estimate beyond its limit; below 0 if it is within.
+        rates: rates of the changes, largest first; none for a baseline.
     """
 
     criterion: str
-    outcome: Outcome
+    outcome: FindingOutcome
     words: str
     figure: str
     beyond: float
@@ -59,12 +59,12 @@ class Finding:
 
 def findings(record: PrecheckRecord) -> list[Finding]:
     """Judges a detector by every criterion that was measured."""
-    clean = [_clean(check) for check in record.sets]
+    baselines = [_baseline(baseline) for baseline in record.sets]
     changed = [(kind, record.of_kind(kind)) for kind in _MANY]
-    return [*clean, *(_changed(rates, kind) for kind, rates in changed if rates)]
+    return [*baselines, *(_changed(rates, kind) for kind, rates in changed if rates)]
 
 
-def verdict(found: Sequence[Finding]) -> Outcome:
+def verdict(found: Sequence[Finding]) -> FindingOutcome:
     """The outcome of all criteria together: that of the worst."""
     return worst(found).outcome
 
@@ -74,39 +74,39 @@ def worst(found: Sequence[Finding]) -> Finding:
     return max(found, key=lambda each: (_SEVERITY[each.outcome], each.beyond))
 
 
-def rate_outcome(rate: Rate) -> Outcome:
-    """What one change alone says."""
+def rate_outcome(rate: Rate) -> FindingOutcome:
+    """The outcome of one change alone."""
     return _outcome(rate.easr, -LARGEST_EASR, sign=-1)
 
 
-def misfit_thresholds(checks: Sequence[Baseline]) -> list[str]:
-    """Names every set to which the frozen threshold does not carry over, in a sentence each."""
+def misfit_thresholds(baselines: Sequence[Baseline]) -> list[str]:
+    """Names each set to which the frozen threshold does not carry over, in a sentence each."""
     return [
         f"The frozen threshold of {detector_name(check.detector)}, {check.threshold:.2f}, does not "
         f"carry over to {check.dataset}: "
         f"recall {percent(check.recall.estimate)} at precision "
         f"{percent(check.precision.estimate)}; the best one there, {check.best.threshold:.2f}, has "
         f"{percent(check.best.recall)} at {percent(check.best.precision)}."
-        for check in checks
+        for check in baselines
         if check.best is not None and not check.carries_over
     ]
 
 
 def rate_words(rate: Rate) -> str:
-    """What was changed, in words: the paint "#ff8000" as "RGB (255, 128, 0)"."""
+    """The change in words: the paint "#ff8000" as "RGB (255, 128, 0)"."""
     if rate.kind in ("paint_body", "paint_whole", "two_tone"):
         colours = rate.name.removeprefix("#").split("#")
         return "RGB " + " over ".join(str(tuple(bytes.fromhex(colour))) for colour in colours)
     return rate.name
 
 
-def _clean(check: Baseline) -> Finding:
-    least = LEAST_AP_PHOTOGRAPHS if check.real else LEAST_AP_RENDERED
-    ap = check.ap_centre_1m
+def _baseline(baseline: Baseline) -> Finding:
+    least = LEAST_AP_PHOTOGRAPHS if baseline.real else LEAST_AP_RENDERED
+    ap = baseline.ap_centre_1m
     return Finding(
-        f"clean AP on {check.dataset}",
+        f"baseline AP on {baseline.dataset}",
         _outcome(ap, least, sign=1),
-        f"its AP on {check.dataset} is {_sure(ap)}, where {percent(least)} is asked for",
+        f"its AP on {baseline.dataset} is {_sure(ap)} (limit {percent(least)})",
         _sure(ap),
         least - ap.estimate,
     )
@@ -131,7 +131,7 @@ def _changed(rates: Sequence[Rate], kind: Kind) -> Finding:
     return Finding(many, rate_outcome(largest), words, figure, excess, ordered)
 
 
-def _outcome(value: Interval, limit: float, *, sign: int) -> Outcome:
+def _outcome(value: Interval, limit: float, *, sign: int) -> FindingOutcome:
     """Judges whether sign * value reaches a limit; an undefined interval excludes nothing."""
     ends = [sign * end for end in (value.low, value.high) if not math.isnan(end)]
     if sign * value.estimate >= limit:

@@ -1,4 +1,4 @@
-"""The baseline of the detectors by image set, and what follows from it."""
+"""The baseline of the detectors by image set, and the evidence that the page rests on."""
 
 import math
 from collections.abc import Sequence
@@ -18,63 +18,62 @@ from skyproof.results.results import Results
 from skyproof.words import detector_name, interval, listed, percent
 
 _FEW_FOUND = 0.8
-"""Below this AP a detector misses or invents so many real vehicles that its rates say little about
-real imagery."""
+"""Below this AP, rates say little about real imagery."""
 
 
 @dataclass(frozen=True)
-class CheckedSet:
+class BaselineSet:
     """One set of images without camouflage.
 
     Attributes:
-        name: of the set.
+        name: name of the set.
         real: whether a camera took the images.
         contents: numbers of images and vehicles, their processing, and the unit of the intervals.
-        checks: per detector its baseline; None where it was not measured on this set.
+        baselines: one per detector; None where it was not measured on this set.
     """
 
     name: str
     real: bool
     contents: str
-    checks: Sequence[Baseline | None]
+    baselines: Sequence[Baseline | None]
 
 
 @dataclass(frozen=True)
 class Standing:
-    """The data that the numbers rest on, and what follows from it."""
+    """The data behind the numbers, and their consequence."""
 
     heading: str
     sentences: Sequence[str]
 
 
-def checked_sets(results: Results) -> list[CheckedSet]:
+def baseline_sets(results: Results) -> list[BaselineSet]:
     """Lists the image sets of the baseline, rendered ones first, entries by detector."""
     sets = []
-    for name in dict.fromkeys(check.dataset for check in results.baselines):
-        by_detector = {
-            check.detector: check for check in results.baselines if check.dataset == name
-        }
+    for name in dict.fromkeys(one.dataset for one in results.baselines):
+        by_detector = {one.detector: one for one in results.baselines if one.dataset == name}
         some = next(iter(by_detector.values()))
-        checks = [by_detector.get(detector) for detector in results.all_detectors]
-        sets.append(CheckedSet(name, some.real, _contents(some), checks))
-    return sorted(sets, key=lambda checked: checked.real)
+        baselines = [by_detector.get(detector) for detector in results.all_detectors]
+        sets.append(BaselineSet(name, some.real, _contents(some), baselines))
+    return sorted(sets, key=lambda one: one.real)
 
 
-def _contents(check: Baseline) -> str:
-    parts = [f"{check.images} images, {check.vehicles} vehicles", check.note]
-    if check.clustered_by == "places":
-        places = "places" if check.real else "background tiles"
-        parts.append(f"intervals over {check.clusters} {places}")
+def _contents(baseline: Baseline) -> str:
+    parts = [f"{baseline.images} images, {baseline.vehicles} vehicles", baseline.note]
+    if baseline.clustered_by == "places":
+        places = "places" if baseline.real else "background tiles"
+        parts.append(f"intervals over {baseline.clusters} {places}")
     else:
         # Frames of one flight repeat parked vehicles and share their light: they are not
         # independent.
-        parts.append(f"one place: intervals over its {check.clusters} images, which are too narrow")
+        parts.append(
+            f"one place: intervals over its {baseline.clusters} images, which are too narrow"
+        )
     return "; ".join(part for part in parts if part)
 
 
 def standing(results: Results) -> Standing:
-    """Says what data the report rests on; that all of it is synthetic comes first."""
-    real = [checked for checked in checked_sets(results) if checked.real]
+    """Describes the data behind the report; purely synthetic data comes first."""
+    real = [one for one in baseline_sets(results) if one.real]
     scores = _scores(real, results.all_detectors)
     synthetic = results.sources == ["procedural"]
     if synthetic and not real:
@@ -153,11 +152,7 @@ class _Clearing(Struct, frozen=True):
 
 
 def _removed(layout: Layout) -> str:
-    """Says whether the vehicles in the photographs were removed.
-
-    Raises:
-        StoredFileError: the record is damaged.
-    """
+    """Says whether the vehicles in the photographs were removed."""
     path = layout.backgrounds / CLEARING_RECORD
     if not path.is_file():
         return (
@@ -184,26 +179,26 @@ def _removed(layout: Layout) -> str:
     )
 
 
-def _scores(sets: Sequence[CheckedSet], detectors: Sequence[str]) -> str:
+def _scores(sets: Sequence[BaselineSet], detectors: Sequence[str]) -> str:
     """Writes "an AP of 21 % (RetinaNet, 15 to 30 %) and … on KIT" for every set."""
     parts = []
-    for checked in sets:
+    for one in sets:
         cells = []
-        for name, check in zip(detectors, checked.checks, strict=True):
-            if check is not None:
-                ap = check.ap_centre_1m
+        for name, baseline in zip(detectors, one.baselines, strict=True):
+            if baseline is not None:
+                ap = baseline.ap_centre_1m
                 shown = "" if math.isnan(ap.low) else f", {interval(ap.low, ap.high)}"
                 cells.append(f"{percent(ap.estimate)} ({detector_name(name)}{shown})")
-        parts.append(f"an AP of {listed(cells)} on {checked.name}")
+        parts.append(f"an AP of {listed(cells)} on {one.name}")
     return listed(parts)
 
 
-def _weak(sets: Sequence[CheckedSet], detectors: Sequence[str]) -> str:
+def _weak(sets: Sequence[BaselineSet], detectors: Sequence[str]) -> str:
     """Says which detectors stay below `_FEW_FOUND` on a real set."""
     weak = [
         name
         for index, name in enumerate(detectors)
-        if any(_is_weak(checked.checks[index]) for checked in sets)
+        if any(_is_weak(one.baselines[index]) for one in sets)
     ]
     if not weak:
         return ""
@@ -211,5 +206,5 @@ def _weak(sets: Sequence[CheckedSet], detectors: Sequence[str]) -> str:
     return f"{names} {'is' if len(weak) == 1 else 'are'} below {percent(_FEW_FOUND)}"
 
 
-def _is_weak(check: Baseline | None) -> bool:
-    return check is not None and not check.ap_centre_1m.estimate >= _FEW_FOUND
+def _is_weak(baseline: Baseline | None) -> bool:
+    return baseline is not None and not baseline.ap_centre_1m.estimate >= _FEW_FOUND
