@@ -150,7 +150,7 @@ def test_where_gradients_mislead_nothing_is_accepted(tmp_path):
 def test_the_verdict_holds_the_alarms(run_folder, monkeypatch):
     change_tiles(run_folder, keep)
     alarm = "T-U hides 0 % where it follows the detector’s gradients, and 80 % by its answers."
-    found = QueryPart([], Markup(""), only=False, alarms=[alarm], told="Masking alarm.")
+    found = QueryPart([], Markup(""), only=False, alarms=[alarm], conclusion="Masking alarm.")
     monkeypatch.setattr("skyproof.report.report.query_part", lambda _: found)
     page, verdict = asked(run_folder, STRICT)
     assert [each["answer"] for each in verdict["detectors"]] == ["undecided", "undecided"]

@@ -42,7 +42,7 @@ def test_gradients_that_hide_less_than_answers_raise_an_alarm(
     (row,) = found.rows
     assert row.gradients is not None
     assert row.gradients.estimate == pytest.approx(len(by_gradients) / 4)
-    assert row.asked.estimate == pytest.approx(1)
+    assert row.queried.estimate == pytest.approx(1)
     # Five vehicles are too few to be sure of half of them.
     assert bool(found.alarms) == alarmed
     page = write_report(tmp_path).read_text()
@@ -64,8 +64,8 @@ def test_what_another_start_can_change_is_no_alarm(
     found = query_part(results)
     assert found is not None
     assert bool(found.alarms) == alarmed
-    assert ("Another start of an attack" in found.told) == (0 < low < 0.2)
-    assert ("do not hide significantly more" in found.told) == (low < 0)
+    assert ("Another start of an attack" in found.conclusion) == (0 < low < 0.2)
+    assert ("do not hide significantly more" in found.conclusion) == (low < 0)
 
 
 def test_of_a_black_box_the_curve_begins_with_what_was_carried_over(tmp_path: Path) -> None:
@@ -86,7 +86,7 @@ def test_of_a_black_box_the_curve_begins_with_what_was_carried_over(tmp_path: Pa
     (row,) = found.rows
     assert row.lenient is not None
     assert row.lenient.estimate == pytest.approx(0.25)
-    rates = [row.transfer, row.asked, row.searched]
+    rates = [row.transfer, row.queried, row.searched]
     assert [rate.estimate for rate in rates if rate] == pytest.approx([0.25, 0.75, 0.25])
     assert (row.gradients, row.images) == (None, IMAGES)
     page = write_report(tmp_path).read_text()

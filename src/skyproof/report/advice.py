@@ -2,13 +2,13 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from skyproof import words
 from skyproof.camouflage.name import CamouflageName
 from skyproof.results.result import MEAN, Result
 from skyproof.results.results import Results
 
-_FEW_TILES = 20
 _MUCH_BY_CHANCE = 0.1
 
 
@@ -63,77 +63,31 @@ def advice(rows: Sequence[Result]) -> list[str]:
     return sentences
 
 
-def limits(
-    results: Results,
-    every: Sequence[Result],
-    *,
-    queried: bool = False,
-    more: bool = False,
-) -> list[str]:
-    """Names the limits of the numbers.
+@dataclass(frozen=True)
+class Limits:
+    """Facts of a run that limit its numbers.
 
-    Args:
-        results: of the run.
-        every: result to quote of each camouflage.
-        queried: whether query attacks were run beside those by gradients.
-        more: whether the page has further sections, which tell of other detectors.
+    Attributes:
+        attacked: detectors that the attack was optimised against, if recorded.
+        held_out: whether other detectors were scored.
+        growing: camouflages with a repeat that was still getting stronger.
+        slim: detectors that are reduced versions of the published networks.
     """
-    sentences = []
-    if results.sources == ["procedural"]:
-        sentences.append(
-            "Ground and vehicles are synthetic. This report does not measure how far the rates "
-            "carry over to real cameras."
-        )
-    elif results.sources:
-        sentences.append(
-            "The ground is real and the vehicles are rendered. This report does not measure "
-            "success on painted vehicles."
-        )
-    if len(results.renderers) > 1:
-        sentences.append(
-            "Blender Cycles draws the same synthetic vehicle shapes in another light and with "
-            "other materials. It shows whether a camouflage survives a change of renderer, not "
-            "whether it survives in reality."
-        )
-    if every:
-        tiles = every[0].clusters
-        few = " That is few: read the intervals as rough." if tiles < _FEW_TILES else ""
-        sentences.append(f"The intervals rest on {tiles} background tiles.{few}")
-        sentences.append(
-            "The intervals cover the draw of tiles and vehicles and, with several of them, of "
-            "attack seeds and random controls. They do not cover another training of the "
-            "detectors."
-        )
-        attacked = _attacked(results, every[0].camouflage)
-        if attacked:
-            others = any(name.variant.startswith(("on_", "without_")) for name in results.names)
-            sentences.append(
-                f"The attack had full knowledge of {', '.join(attacked)}, a worst case for them. "
-                "Held-out detectors may lose fewer vehicles"
-                + (" (see the tables)." if others or more else "; none was scored here.")
-            )
-        if attacked and not queried:
-            sentences.append(
-                "No query attack was run beside the gradient attacks, so this report cannot tell "
-                "whether the detectors mask their gradients, as some defences do."
-            )
-        growing = _not_converged(results, every)
-        if growing:
-            sentences.append(
-                f"{', '.join(growing)}: the second half of the steps still added over 2 points on "
-                "the attack’s own scenes, so more steps may hide more."
-            )
-    names = [
-        words.detector_name(name) for name, card in results.cards.items() if card.size == "slim"
-    ]
-    if names:
-        sentences.append(f"{', '.join(names)}: reduced (slim) versions of the published networks.")
-    if every:
-        sentences.append(
-            "The test against random draws treats tiles as independent, and McNemar’s test even "
-            "treats vehicles so. Trust the interval more."
-        )
-    return sentences
+
+    attacked: Sequence[str]
+    held_out: bool
+    growing: Sequence[str]
+    slim: Sequence[str]
+
+
+def limits(results: Results, every: Sequence[Result]) -> Limits:
+    """Gives the facts that limit the numbers of the quoted results."""
+    return Limits(
+        _attacked(results, every[0].camouflage) if every else [],
+        any(name.variant.startswith(("on_", "without_")) for name in results.names),
+        _not_converged(results, every),
+        [words.detector_name(name) for name, card in results.cards.items() if card.size == "slim"],
+    )
 
 
 def _not_converged(results: Results, every: Sequence[Result]) -> list[str]:

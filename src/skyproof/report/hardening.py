@@ -15,23 +15,23 @@ from skyproof.results.results import Results
 from skyproof.scenes.scene import read_scenes
 
 _STRONGEST = 2
-# Of a check, the kinds of change that are coats of paint.
-_COATS = ("paint_body", "paint_whole", "two_tone", "control")
+# Kinds of change in a precheck that are paints.
+_PAINTS = ("paint_body", "paint_whole", "two_tone", "control")
 
 
 @dataclass(frozen=True)
 class Hardening:
-    """How to train the weaknesses away.
+    """Images that train the weaknesses away.
 
     Attributes:
+        paints: whether images of many paints come first.
         images: sentences that name the images to add.
-        commands: for the run folder, one per line.
-        after: sentences on the steps after that.
+        commands: commands that render them in the run folder.
     """
 
+    paints: bool
     images: Sequence[str]
     commands: Sequence[str]
-    after: Sequence[str]
 
 
 def hardening(
@@ -75,49 +75,32 @@ def hardening(
                     f"{_told(extremes[0])}: include such views."
                 )
     size_px = read_scenes(layout.scenes("test"))[0].camera.size_px
-    commands = []
-    if _fails_at_coats(results):
-        images.insert(
-            0,
-            "First, plain paints or random patterns hide too many vehicles. The training fleets of "
-            "skyproof wear plain and two-tone paints, liveries and random patterns beside usual "
-            "paints: add images of them.",
-        )
-        commands += _coats(size_px)
-    places = "--backgrounds backgrounds --fleet fleets/attack"
-    commands += [
-        f"skyproof render {places} --split attack --count 400 --seed 1 --settings.size-px "
+    paints = _fails_at_paints(results)
+    attack = "--backgrounds backgrounds --fleet fleets/attack"
+    commands = [
+        f"skyproof render {attack} --split attack --count 400 --seed 1 --settings.size-px "
         f"{size_px} --camouflage camouflages/{name} --labels yolo --out hardening/{name}"
         for name in names
     ]
-    after = [
-        "Train on your images and these together. Ultralytics trains from data.yaml in the "
-        "rendered folders, others from annotations.json (COCO). A detector of skyproof’s own "
-        "learns from the folders themselves (skyproof train).",
-        "Then assess the new detector, which optimises its attacks anew. A detector that is "
-        "hardened against a known pattern is not thereby hardened against the next.",
-    ]
-    return Hardening(images, commands, after)
+    if paints:
+        painted = "--backgrounds backgrounds --fleet hardening/fleets/train"
+        commands = [
+            "skyproof vehicles --counts 200 1 1 1 --seed 1 --out hardening/fleets",
+            f"skyproof render {painted} --split attack --count 800 --seed 2 --settings.size-px "
+            f"{size_px} --labels yolo --out hardening/paints",
+            *commands,
+        ]
+    return Hardening(paints, images, commands)
 
 
-def _fails_at_coats(results: Results) -> bool:
-    """Whether a detector failed its check at paints, or at random patterns."""
+def _fails_at_paints(results: Results) -> bool:
+    """Whether a detector failed its precheck at paints or random patterns."""
     records = read_prechecks(Layout(results.folder).detectors)
     found = [
         each for name in results.detectors if name in records for each in findings(records[name])
     ]
     failed = [each for each in found if each.outcome == "failed" and each.rates]
-    return any(each.rates[0].kind in _COATS for each in failed)
-
-
-def _coats(size_px: int) -> list[str]:
-    """Gives the commands that draw vehicles in many coats, on the attack's ground."""
-    places = "--backgrounds backgrounds --fleet hardening/fleets/train"
-    return [
-        "skyproof vehicles --counts 200 1 1 1 --seed 1 --out hardening/fleets",
-        f"skyproof render {places} --split attack --count 800 --seed 2 --settings.size-px "
-        f"{size_px} --labels yolo --out hardening/coats",
-    ]
+    return any(each.rates[0].kind in _PAINTS for each in failed)
 
 
 def readings(panels: Sequence[Panel]) -> list[str]:

@@ -19,16 +19,9 @@ _SEVERITY = ("accepted", "undecided", "not applicable", "rejected")
 
 @dataclass(frozen=True)
 class Opening:
-    """The answer in ten seconds.
+    """The answer in ten seconds: one figure with its interval and meaning, and the next steps.
 
-    Attributes:
-        tone: which colours it is shown in.
-        label: what the figure is, in two or three words: "REJECTED", "Strongest attack".
-        figure: the one number; empty where there is none.
-        interval: its interval in words; empty where it has none.
-        sentence: what the figure counts.
-        beside: the figure of a random control, as a sentence; empty where none was scored.
-        next_steps: what to do next, the most urgent first.
+    What there is not is empty.
     """
 
     tone: Literal["neutral", "accepted", "rejected", "undecided", "not applicable"]
@@ -36,7 +29,6 @@ class Opening:
     figure: str
     interval: str
     sentence: str
-    beside: str
     next_steps: Sequence[str]
 
 
@@ -46,18 +38,18 @@ def opening(
     precheck: PrecheckPart,
     baselines: Sequence[BaselineSet],
     *,
-    hardened_by: bool,
+    hardened: bool,
 ) -> Opening:
     """Gives the first screen of a report.
 
     Args:
         every: result to quote of each camouflage.
-        acceptance: what was decided of the detectors; None where nothing was asked.
-        precheck: whether they were worth attacking.
+        acceptance: the verdict; None without a requirement.
+        precheck: precheck of the detectors.
         baselines: image sets of their baseline.
-        hardened_by: whether the page says how to harden the detectors.
+        hardened: whether the page says how to harden the detectors.
     """
-    steps = _next_steps(every, acceptance, precheck, baselines, hardened_by)
+    steps = _next_steps(every, acceptance, precheck, baselines, hardened)
     if acceptance is not None:
         return _ruled(max(acceptance.rulings, key=lambda each: _SEVERITY.index(each.answer)), steps)
     row = strongest_of(every)
@@ -66,16 +58,14 @@ def opening(
     whose = (
         "the detectors found" if row.detector == MEAN else f"{detector_name(row.detector)} found"
     )
+    random = "" if row.random is None else f" Random controls hide {percent(row.random.easr)}."
     return Opening(
         "neutral",
         "Hidden by the strongest attack",
         percent(row.easr.estimate),
         _sure(row.easr),
-        f"of the vehicles that {whose} without camouflage are missed with: "
-        f"{row.camouflage.in_words} ({row.camouflage}).",
-        ""
-        if row.random is None
-        else f"Random patterns of the same kind hide {percent(row.random.easr)}.",
+        f"of the vehicles that {whose} without camouflage are missed with "
+        f"{row.camouflage.in_words} ({row.camouflage}).{random}",
         steps,
     )
 
@@ -89,9 +79,7 @@ def strongest_of(every: Sequence[Result]) -> Result | None:
 def _ruled(ruling: Ruling, steps: Sequence[str]) -> Opening:
     name = detector_name(ruling.detector)
     if not ruling.attacks:
-        return Opening(
-            ruling.answer, f"No verdict on {name}", "", "", ruling.sentences[0], "", steps
-        )
+        return Opening(ruling.answer, f"No verdict on {name}", "", "", ruling.sentences[0], steps)
     attack, worst = next(iter(ruling.attacks.items()))
     words = CamouflageName.read(attack.partition(" on ")[0]).in_words
     return Opening(
@@ -101,7 +89,6 @@ def _ruled(ruling: Ruling, steps: Sequence[str]) -> Opening:
         f"bounds {interval(worst.at_least, worst.at_most)} at the risks of the requirement",
         "of the vehicles found without camouflage are missed with the strongest attack: "
         f"{words} ({attack}).",
-        "",
         steps,
     )
 
@@ -115,7 +102,7 @@ def _baseline(baselines: Sequence[BaselineSet], steps: Sequence[str]) -> Opening
         if one is not None and not math.isnan(one.ap_centre_1m.estimate)
     ]
     if not known:
-        return Opening("neutral", "Nothing was scored", "", "", "", "", steps)
+        return Opening("neutral", "Nothing was scored", "", "", "", steps)
     lowest, detector, images = min(known, key=lambda one: one[0].estimate)
     return Opening(
         "neutral",
@@ -123,7 +110,6 @@ def _baseline(baselines: Sequence[BaselineSet], steps: Sequence[str]) -> Opening
         percent(lowest.estimate),
         _sure(lowest),
         f"average precision of {detector_name(detector)} on {images}, without camouflage.",
-        "",
         steps,
     )
 
@@ -133,7 +119,7 @@ def _next_steps(
     acceptance: Acceptance | None,
     precheck: PrecheckPart,
     baselines: Sequence[BaselineSet],
-    hardened_by: bool,
+    hardened: bool,
 ) -> list[str]:
     steps = []
     failed = [state.name for state in precheck.states if state.outcome == "failed"]
@@ -156,7 +142,7 @@ def _next_steps(
             "Measure the detectors on annotated photographs (--labels of assess, --frames of "
             "precheck) before you quote a figure for real imagery."
         )
-    if hardened_by:
+    if hardened:
         steps.append(
             "Harden the detectors with the images listed below, then assess them again with newly "
             "optimised attacks."

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from markupsafe import Markup
 
 from skyproof.camouflage.name import QUERIED, TRANSFER, CamouflageName
-from skyproof.report.queries_figure import Curve, queries_figure
+from skyproof.report.queries_figure import QueryCurve, queries_figure
 from skyproof.results.result import LENIENT_MATCH
 from skyproof.results.results import Results
 from skyproof.results.statistics.intervals import Interval
@@ -21,22 +21,22 @@ _KEPT = re.compile(rf"{QUERIED}(?P<images>\d+)")
 
 @dataclass(frozen=True)
 class QueryResult:
-    """One attack.
+    """The shares that a query attack and its competitors hide.
 
     Attributes:
-        name: the camouflage without variant.
-        gradients: share hidden by the gradient attack; None for a black-box detector.
-        transfer: by the camouflage of other detectors.
-        asked: after all queries.
-        lenient: the same by the lenient rule; None where that was not scored.
+        name: name of the camouflage without variant.
+        gradients: share by the gradient attack; None for a black-box detector.
+        transfer: share by the camouflage of other detectors.
+        queried: share after all queries.
+        lenient: the same by the lenient rule; None if not scored.
         images: number of queries.
-        searched: by a random search with as many queries; None without one.
+        searched: share by a random search with as many queries; None without one.
     """
 
     name: CamouflageName
     gradients: Interval | None
     transfer: Interval | None
-    asked: Interval
+    queried: Interval
     lenient: Interval | None
     images: int
     searched: Interval | None
@@ -50,21 +50,21 @@ class QueryPart:
         rows: one per attack.
         figure: success against queries.
         only: whether the detector is a black box.
-        alarms: a sentence for every attack that hides more by queries than by gradients, and by
-            more than another start of either could explain.
-        told: the conclusion.
+        alarms: a sentence for each attack that hides more by queries than by gradients, and by more
+            than another start of either could explain.
+        conclusion: in a sentence or more.
     """
 
     rows: Sequence[QueryResult]
     figure: Markup
     only: bool
     alarms: Sequence[str]
-    told: str
+    conclusion: str
 
 
 @dataclass(frozen=True)
 class _More:
-    """A query attack that hides more than gradients, and whether by more than starts explain."""
+    """A query attack that hides more than gradients; it misleads if starts do not explain it."""
 
     told: str
     misleads: bool
@@ -82,8 +82,8 @@ def query_part(results: Results) -> QueryPart | None:
     more = [found for row in rows if (found := _more(results, row)) is not None]
     alarms = [found.told for found in more if found.misleads]
     small = [found.told for found in more if not found.misleads]
-    told = _told(rows, only, alarms, small)
-    return QueryPart(rows, Markup(queries_figure(curves)), only, alarms, told)
+    conclusion = _conclusion(rows, only, alarms, small)
+    return QueryPart(rows, Markup(queries_figure(curves)), only, alarms, conclusion)
 
 
 def _is_final(results: Results, name: CamouflageName) -> bool:
@@ -94,9 +94,9 @@ def _is_final(results: Results, name: CamouflageName) -> bool:
 
 def _row(results: Results, name: CamouflageName) -> QueryResult | None:
     base = name.base
-    asked = results.single_interval(str(name))
+    queried = results.single_interval(str(name))
     record = results.records[str(name)].queries
-    if asked is None or record is None:
+    if queried is None or record is None:
         return None
     search = base.control.with_variant("search")
     lenient = results.row(name, match=LENIENT_MATCH)
@@ -104,7 +104,7 @@ def _row(results: Results, name: CamouflageName) -> QueryResult | None:
         base,
         results.single_interval(str(base)) if name.variant == QUERIED else None,
         results.single_interval(str(base.with_variant(TRANSFER))),
-        asked,
+        queried,
         None if lenient is None else lenient.easr,
         record.images,
         # Beside gradients the random search followed losses, so it is no control of queries.
@@ -112,14 +112,16 @@ def _row(results: Results, name: CamouflageName) -> QueryResult | None:
     )
 
 
-def _curves(results: Results, row: QueryResult, scored: Sequence[CamouflageName]) -> list[Curve]:
+def _curves(
+    results: Results, row: QueryResult, scored: Sequence[CamouflageName]
+) -> list[QueryCurve]:
     """Success against queries, of the attack and of the random search beside it."""
-    own = [(0, row.transfer), *_kept(results, row.name, scored, ""), (row.images, row.asked)]
-    curves = [Curve(str(row.name), _known(own), random=False)]
+    own = [(0, row.transfer), *_kept(results, row.name, scored, ""), (row.images, row.queried)]
+    curves = [QueryCurve(str(row.name), _known(own), random=False)]
     if row.searched is not None:
         control = row.name.control
         search = [*_kept(results, control, scored, "search_"), (row.images, row.searched)]
-        curves.append(Curve(str(row.name), _known(search), random=True))
+        curves.append(QueryCurve(str(row.name), _known(search), random=True))
     return curves
 
 
@@ -148,8 +150,8 @@ def _more(results: Results, row: QueryResult) -> _More | None:
         return None
     told = (
         f"{row.name} hides {percent(row.gradients.estimate)} by gradients and "
-        f"{percent(row.asked.estimate)} by queries: {points(more.estimate)} points (95 % interval "
-        f"{interval(more.low, more.high)})."
+        f"{percent(row.queried.estimate)} by queries: {points(more.estimate)} points (95 % "
+        f"interval {interval(more.low, more.high)})."
     )
     # Either attack is one run; another start of it would have ended elsewhere.
     of_starts = _QUANTILE * math.sqrt(2) * SEEDS.usual_sd
@@ -157,7 +159,7 @@ def _more(results: Results, row: QueryResult) -> _More | None:
     return _More(told, misleads=more.estimate > reach)
 
 
-def _told(
+def _conclusion(
     rows: Sequence[QueryResult], only: bool, alarms: Sequence[str], small: Sequence[str]
 ) -> str:
     if only:

@@ -15,21 +15,15 @@ _COLUMNS = 3
 
 
 @dataclass(frozen=True)
-class Curve:
-    """What is hidden after so many images.
-
-    Attributes:
-        name: of the attack.
-        points: images and share hidden.
-        random: whether it is the random search beside it.
-    """
+class QueryCurve:
+    """The share hidden against the number of queries, of an attack or its random search."""
 
     name: str
     points: Sequence[tuple[int, Interval]]
     random: bool
 
 
-def queries_figure(curves: Sequence[Curve]) -> str:
+def queries_figure(curves: Sequence[QueryCurve]) -> str:
     """Draws a panel per attack, its random search dashed."""
     names = list(dict.fromkeys(curve.name for curve in curves))
     columns = min(_COLUMNS, len(names))
@@ -54,7 +48,7 @@ def queries_figure(curves: Sequence[Curve]) -> str:
                     line,
                     color=colour,
                     markersize=5,
-                    label="random search" if curve.random else "carried over, then asked",
+                    label="random search" if curve.random else "query attack",
                 )
                 axes.fill_between(
                     images,
@@ -68,7 +62,7 @@ def queries_figure(curves: Sequence[Curve]) -> str:
             axes.grid(color="#e3e7eb")
         for axes in list(grid.flat)[len(names) :]:
             axes.set_visible(False)
-        figure.supxlabel("images shown to the detector", fontsize=11)
+        figure.supxlabel("queries (images)", fontsize=11)
         figure.supylabel("% hidden", fontsize=11)
         handles, labels = grid[0, 0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper center", ncols=2, fontsize=10)

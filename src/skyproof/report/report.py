@@ -165,16 +165,14 @@ def _write(
             precheck=precheck,
             standing=standing(results),
             baselines=baselines,
-            opening=opening(
-                every, acceptance, precheck, baselines, hardened_by=hardened is not None
-            ),
+            opening=opening(every, acceptance, precheck, baselines, hardened=hardened is not None),
             example=next(iter(contents.pairs(strongest, 1)), None) if strongest else None,
             tables=full_tables(results),
             more=more,
             training=training_loss(results),
             advice=advice(results.by_detector(every[0])) if every else [],
             hardening=hardened,
-            limits=limits(results, every, queried=query is not None, more=bool(more)),
+            limits=limits(results, every),
             settings=flat_settings(results.config.every),
         )
     )

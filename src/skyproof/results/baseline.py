@@ -1,4 +1,4 @@
-"""How good one detector is on one set of images without camouflage, as it is stored and shown."""
+"""The baseline: one detector on one set of images without camouflage."""
 
 import math
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from skyproof.ranges import Fraction, Name, WholeNumber
 from skyproof.results.statistics.intervals import Interval
 
 _FAR = 0.03
-"""A frozen threshold that costs more of F1 than this does not carry over."""
+"""Largest loss of F1 with which a frozen threshold carries over."""
 
 _Share = Annotated[Interval, Meta(ge=0, le=1)]
 _Threshold = Annotated[float, Meta(ge=-1e6, le=1e6)]
@@ -18,7 +18,7 @@ _Threshold = Annotated[float, Meta(ge=-1e6, le=1e6)]
 
 @dataclass(frozen=True)
 class BestF1:
-    """The score threshold of the largest F1 on one set, and what is reached there."""
+    """The score threshold of the largest F1 on one set."""
 
     threshold: _Threshold
     precision: Fraction
@@ -34,21 +34,18 @@ class BestF1:
 class Baseline:
     """One detector on one set of images without camouflage; a row of `baselines.json`.
 
+    Intervals are over the clusters; undefined numbers are nan.
+
     Attributes:
         detector, dataset: names.
-        images, vehicles: how many there are.
+        images, vehicles: numbers of images and vehicles.
         real: whether a camera took the images.
-        ap_centre_1m: average precision by centre distance with its interval; nan where undefined.
-        clustered_by: what the interval is over, "places" or "images".
-        clusters: how many of these there are.
-        ap_iou_50: average precision by overlap.
-        precision, recall: at the frozen threshold with their intervals, over the same places or
-            images; nan where undefined.
-        threshold: the detector's frozen threshold.
-        false_alarms_per_km2: detections on no vehicle, from that threshold on, by centre distance;
-            nan where it is not known.
-        best: what another threshold would have given here; None where it is not known.
-        note: where the images come from and what was done to them.
+        ap_centre_1m, ap_iou_50: average precision by centre distance and by overlap.
+        clustered_by, clusters: "places" or "images", and their number.
+        threshold: frozen threshold.
+        precision, recall, false_alarms_per_km2: at that threshold by centre distance.
+        best: best threshold on these images, if known.
+        note: source and processing of the images.
     """
 
     detector: Name
@@ -69,12 +66,7 @@ class Baseline:
 
     @property
     def carries_over(self) -> bool:
-        """Whether the frozen threshold is about as good here as the best one would be.
-
-        It is not where F1 falls short of the best threshold's by more than three points; on a set
-        of which nothing is known, it is. Freezing takes the lowest of the thresholds that are
-        nearly as good, which gives precision for recall, and F1 says what both are worth together.
-        """
+        """Whether F1 at the frozen threshold is within three points of the best, or not known."""
         if self.best is None:
             return True
         return not self.best.f1 - f1(self.precision.estimate, self.recall.estimate) > _FAR

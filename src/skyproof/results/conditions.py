@@ -1,7 +1,4 @@
-"""Success by condition: sun, tilt, heading, body type and weather.
-
-Each rate is the mean over detectors and repeats, with its interval.
-"""
+"""Success by sun, tilt, heading, body type and weather: means over detectors and repeats."""
 
 import itertools
 import math
@@ -21,10 +18,7 @@ from skyproof.words import body_name
 
 @dataclass(frozen=True)
 class Bin:
-    """One condition: how many vehicles met it, and their EASR.
-
-    Each vehicle counts once, whatever the number of detectors.
-    """
+    """One condition: number of vehicles, each counted once, and their EASR."""
 
     label: str
     vehicles: int
@@ -44,10 +38,7 @@ _HEADINGS = ((45, "towards sun\n(0–45°)"), (135, "across\n(45–135°)"), (18
 
 
 def condition_panels(outcomes: Sequence[Outcome], *, generator: np.random.Generator) -> list[Panel]:
-    """Gives EASR by condition for the outcomes of one camouflage, renderer and match.
-
-    Without outcomes the answer is empty.
-    """
+    """Gives EASR by condition for the outcomes of one camouflage, renderer and match rule."""
     if not outcomes:
         return []
     labellers: list[tuple[str, Callable[[Outcome], str], list[str] | None]] = [
@@ -114,10 +105,7 @@ def _rate(outcomes: Sequence[Outcome], generator: np.random.Generator) -> Interv
 def shared_groups(
     parts: Sequence[Sequence[Outcome]], *, generator: np.random.Generator
 ) -> list[Group]:
-    """Gives the outcomes of several camouflages as groups on one sample of tiles and vehicles.
-
-    A group has one series per repeat and detector.
-    """
+    """Groups the outcomes of several camouflages on one sample, by repeat and detector."""
     cells = sorted({(outcome.background, outcome.vehicle) for part in parts for outcome in part})
     row_of = {cell: row for row, cell in enumerate(cells)}
     sample = Sample.draw(cells, generator=generator)

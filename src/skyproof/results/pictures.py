@@ -1,4 +1,4 @@
-"""Matched pairs as pictures: vehicles that were found and missed, and false alarms, drawn in."""
+"""Matched pairs as pictures, with found and missed vehicles and false alarms."""
 
 import hashlib
 import itertools
@@ -19,14 +19,8 @@ _ENLARGE = 2
 
 
 def choose_scenes(scenes: Mapping[str, Sequence[Outcome]], count: int = _COUNT) -> dict[str, str]:
-    """Chooses scenes to be shown, and says why.
-
-    The first `count` by SHA-256 of their id, then the one with most vehicles hidden and the one
-    with fewest.
-
-    Args:
-        scenes: the outcomes of one camouflage and detector by scene.
-        count: how many are chosen whatever they show.
+    """Chooses scenes to show, with reasons: the first `count` by SHA-256 of their id, then the ones
+    with most and with fewest vehicles hidden.
     """
     order = sorted(scenes, key=lambda scene: hashlib.sha256(scene.encode()).hexdigest())
     chosen = dict.fromkeys(order[:count], "Chosen by hash")
@@ -51,15 +45,14 @@ def draw_scene(
     scores: Float[np.ndarray, " K"],
     threshold: float,
 ) -> Image.Image:
-    """Draws one image at twice its size, with what a detector found in it.
+    """Draws one image at twice its size, with a detector's detections.
 
     Args:
         image: sRGB bytes.
-        vehicles: per vehicle its box (pixel xyxy), whether it was found, and the score of the
-            detection that found it.
-        boxes: `[K, 4]` all detections, pixel xyxy.
-        scores: `[K]` their scores.
-        threshold: from which score on an unmatched detection is a false alarm.
+        vehicles: per vehicle its box (pixel xyxy), whether it was found, and the score of its
+            detection.
+        boxes, scores: all detections, pixel xyxy.
+        threshold: smallest score of a false alarm.
     """
     height, width = image.shape[:2]
     size = (width * _ENLARGE, height * _ENLARGE)
@@ -82,7 +75,7 @@ def _nearest(
     box: Float[np.ndarray, " 4"],
     score: float,
 ) -> int:
-    """Finds the detection that found a vehicle: the one of its score, of several the nearest."""
+    """Finds a vehicle's detection: the one with its score, among several the nearest."""
     centre = box.reshape(2, 2).mean(axis=0)
 
     def difference(index: int) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""What a precheck measured of one detector, as `precheck.json` beside its card. No torch."""
+"""The record of a precheck, `precheck.json` beside a detector's card. Needs no torch."""
 
 import re
 from collections.abc import Sequence
@@ -23,8 +23,8 @@ _FORMAT = 1
 _REMEDY = "copy the whole folder again, or move this file away and check the detector again"
 
 Kind = Literal["paint_body", "paint_whole", "two_tone", "blur", "control", "sun"]
-"""What a trial changes: a plain paint on body panels or on the whole vehicle, two tones on body
-panels, the vehicles' sharpness, a random control, or the sun's elevation."""
+"""Kind of change: a plain paint on body panels or the whole vehicle, two tones on body panels, the
+sharpness of vehicles, a random control, or the elevation of the sun."""
 
 _PAINT = re.compile("#[0-9a-f]{6}")
 _PAINTS: dict[Kind, re.Pattern[str]] = {
@@ -40,13 +40,14 @@ _Text = Annotated[str, Meta(max_length=10_000)]
 
 @dataclass(frozen=True)
 class Rate:
-    """How many vehicles one change hides from one detector.
+    """The share of vehicles that one change hides from one detector.
 
     Attributes:
-        kind: what was changed.
-        name: how: "#ff8000", "#ff8000#007fff" (the upper half first), "0.7 px", "R-PixFc", "25°".
-        draws: how many there were, of which `easr` is the mean; 1 but for random controls.
-        easr: vehicles lost less vehicles gained, over those found in the unchanged picture.
+        kind: kind of change.
+        name: the change: "#ff8000", "#ff8000#007fff" (upper half first), "0.7 px", "R-PixFc",
+            "25°".
+        draws: number of draws whose mean is `easr`; 1 but for random controls.
+        easr: vehicles lost minus vehicles gained, over those found in the unchanged image.
     """
 
     kind: Kind
@@ -57,19 +58,19 @@ class Rate:
 
 @dataclass(frozen=True)
 class MeasuredOn:
-    """What two checks must share to be the same.
+    """The identity of a precheck.
+
+    Digests that an older record lacks are empty.
 
     Attributes:
-        scenes: how many there were.
-        scenes_sha256: which.
-        sources: what their ground was cut from, or ("procedural",).
-        draws: of every random control.
-        seed: of random controls and of the bootstrap.
-        frames: names of the annotated frames.
-        frames_sha256: per set of frames of its images' names, sizes and labels and its note; empty,
-            as the two below, in records from before they were kept.
-        ground_sha256: of the tiles that the scenes show, as their index has them.
-        fleet_sha256: of the names and sizes of the vehicles.
+        scenes, scenes_sha256: number and digest of the scenes.
+        sources: sources of their ground, or ("procedural",).
+        draws: draws of each random control.
+        seed: seed of random controls and of the bootstrap.
+        frames, frames_sha256: name of each annotated set, and digest of its images' names, sizes
+            and labels and of its note.
+        ground_sha256: digest of the index of the tiles.
+        fleet_sha256: digest of the names and sizes of the vehicles.
     """
 
     scenes: Count
@@ -83,7 +84,7 @@ class MeasuredOn:
     fleet_sha256: _Digest = ""
 
     def differing(self, other: Self) -> list[str]:
-        """Says in what two checks differ; what one of them does not tell is passed over."""
+        """Names the differences of two prechecks that both records know."""
         words = {
             "frames_sha256": "images or labels of frames",
             "ground_sha256": "ground",
@@ -99,15 +100,15 @@ class MeasuredOn:
 
 @dataclass(frozen=True)
 class PrecheckRecord:
-    """What a precheck measured of one detector.
+    """The precheck of one detector.
 
     Attributes:
-        detector: its name.
-        weights_sha256: of the weights that were checked; empty of a black box.
+        detector: name of the detector.
+        weights_sha256: digest of its weights; empty for a black box.
         threshold: its frozen threshold.
-        measured_on: scenes, draws and frames.
-        sets: how good it is on the unchanged scenes, then on each set of frames.
-        rates: what each change hides.
+        measured_on: scenes, draws and annotated sets.
+        sets: baseline on the unchanged scenes, then on each annotated set.
+        rates: rate of each change.
     """
 
     detector: str
@@ -172,8 +173,7 @@ def read_precheck(folder: Path) -> PrecheckRecord:
 def read_prechecks(detectors: Path) -> dict[str, PrecheckRecord]:
     """Reads the records of all detector folders in a folder, by detector.
 
-    A record of other weights or another threshold than the card beside it tells nothing of this
-    detector, and is left out.
+    A record of other weights or another threshold than the card beside it is left out.
 
     Raises:
         StoredFileError: a file is damaged or of another version.

@@ -1,7 +1,7 @@
-"""Files of flat rows, `{"rows": [...]}`: what is undefined is null in them and nan in memory.
+"""Files of flat rows, `{"rows": [...]}`, with null in place of nan.
 
-A row is a dataclass. An interval in it takes three columns ("easr", "easr_low", "easr_high"), any
-other part one for each of its attributes ("best_threshold"), null where there is no such part.
+A row is a dataclass. An interval takes three columns ("easr", "easr_low", "easr_high"), any other
+part one for each of its attributes ("best_threshold"), null without such a part.
 """
 
 import math
@@ -32,24 +32,15 @@ def interval_columns(name: str, interval: Interval) -> dict[str, float]:
 
 
 def write_rows(path: Path, rows: Iterable[object]) -> None:
-    """Writes rows, whole or not at all.
-
-    Raises:
-        RunFolderError: the disk cannot take it.
-    """
+    """Writes rows, whole or not at all."""
     write_json(path, {"rows": [flat_row(row) for row in rows]})
 
 
 def read_rows(path: Path, kind: type[T], remedy: str) -> list[T]:
-    """Reads what `write_rows` wrote.
-
-    Args:
-        path: the file.
-        kind: a dataclass with limits on its fields; its numbers may be undefined.
-        remedy: what the error advises.
+    """Reads rows of a dataclass with limits on its fields; numbers may be undefined.
 
     Raises:
-        StoredFileError: the file is missing or of another form.
+        StoredFileError: the file is missing or of another form; gives the `remedy`.
     """
     form: Any = kind
     document = read_document(path, _document(form), remedy)

@@ -1,7 +1,6 @@
-"""The worst case: of the vehicles found before, how many at least one of several attacks hides.
+"""The worst case: the vehicles that at least one of several attacks hides.
 
-Whoever hides a vehicle picks what works on it. A single attack's rate leaves open whether another
-one hides the vehicles that it does not.
+An attacker picks the camouflage that works on the vehicle.
 """
 
 from __future__ import annotations
@@ -25,18 +24,16 @@ from skyproof.results.statistics.repeats import DRAWS, Repeat
 
 @dataclass(frozen=True)
 class WorstCase:
-    """What all attacks together hide from one detector.
+    """The share that all attacks together hide from one detector.
 
     Attributes:
-        detector: its name.
-        renderer: who drew the images.
-        attacks: the learnt camouflages.
-        hidden: share of the vehicles found before that at least one of them hides.
-        strongest: the attack that alone hides most of them.
-        alone: the share that it hides.
-        random: the same share for as many random draws, one of each attack's control, mean over as
-            many such sets as there are draws; None where a control was not drawn.
-        net: `hidden` minus `random`; None without it.
+        detector, renderer: names.
+        attacks: the optimised camouflages.
+        hidden: share of the found vehicles that at least one of them hides.
+        strongest, alone: the attack that alone hides most, and its share.
+        random: the share for as many random draws, one of each attack's control, as the mean over
+            all such sets; None if a control was not drawn.
+        net: `hidden` minus `random`.
     """
 
     detector: str
@@ -64,9 +61,9 @@ class WorstCase:
 
 
 def worst_cases(results: Results, renderer: str = RENDERER) -> list[WorstCase]:
-    """Gives the worst case before each detector; none where there is one attack or none.
+    """Gives the worst case of each detector; none for fewer than two attacks.
 
-    Of an attack with several repeats the first counts: more of them would be more tries.
+    Only the first repeat of each attack counts.
 
     Raises:
         StoredFileError: a table of outcomes is damaged.
@@ -91,9 +88,7 @@ def worst_cases(results: Results, renderer: str = RENDERER) -> list[WorstCase]:
 
 
 def _sets_of_draws(controls: Sequence[CamouflageName], scored: Set[str]) -> list[list[str]]:
-    """Gives as many sets as there are draws for, each with one draw for every attack: of a control
-    that several attacks share, as many.
-    """
+    """Gives all sets of one different draw for each attack."""
     sets: list[list[str]] = []
     while True:
         used: Counter[CamouflageName] = Counter()
@@ -142,12 +137,12 @@ def _worst_case(
 
 @dataclass(frozen=True)
 class _Lost:
-    """Which of the vehicles that a detector found before are lost under which camouflage.
+    """Hidden vehicles.
 
     Attributes:
         cells: number of each tile and vehicle of the fleet in the sample.
-        before: per detector, cell of every vehicle that was found before, by scene and placement.
-        lost: per detector and camouflage, those of them that it hides.
+        before: per detector, cell of each found vehicle by scene and placement.
+        lost: per detector and camouflage, the hidden ones.
     """
 
     cells: dict[tuple[str, str], int]

@@ -1,4 +1,4 @@
-"""Matched pairs: what became of each vehicle, and what is counted of it per background tile.
+"""Matched pairs: the outcome of each vehicle, and counts of them per background tile.
 
-Everything is plain data, on disk and in memory; only `compare` sees what a detector said.
+Everything is plain data, on disk and in memory.
 """

@@ -1,7 +1,4 @@
-"""Counts per background tile and vehicle of the fleet, made of outcomes.
-
-They are all that success rates and their intervals need of any number of vehicles.
-"""
+"""Outcomes counted per background tile and vehicle of the fleet, for rates and intervals."""
 
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,14 +15,11 @@ from skyproof.results.pairs.outcomes import Outcome, read_outcome_table
 from skyproof.results.statistics.rates import column_of_pair
 
 Cell = tuple[str, str]
-"""A background tile, and a vehicle of the fleet that stands on it once or more."""
+"""A background tile, and a vehicle of the fleet on it."""
 
 
 class Series(NamedTuple):
-    """What was compared: one camouflage as one detector sees it.
-
-    The match criterion and the renderer are part of it.
-    """
+    """Names of one series of outcomes."""
 
     camouflage: str
     renderer: str
@@ -45,9 +39,8 @@ class OutcomeCounts:
 
     Attributes:
         cells: the N pairs of tile and vehicle, in order.
-        series: per series `[N, 4]`: vehicles in sight, detected in both images, lost (in the
-            original only), gained (in the adversarial only). Vehicles missed in both count in the
-            first column alone.
+        series: per series `[N, 4]`: vehicles in sight, detected in both images, lost (detected in
+            the original only), gained (in the adversarial only).
     """
 
     cells: tuple[Cell, ...]
@@ -69,10 +62,7 @@ class OutcomeCounts:
 
 
 def read_counts(path: Path) -> OutcomeCounts:
-    """Counts the outcomes of a file that `write_outcomes` wrote.
-
-    Series keep the order of their first outcome. The vehicles of one fleet are told apart by their
-    names.
+    """Counts the outcomes of a file that `write_outcomes` wrote, series by first occurrence.
 
     Raises:
         StoredFileError: the file is missing, not Parquet, has other columns, values that cannot
@@ -105,7 +95,7 @@ def read_counts(path: Path) -> OutcomeCounts:
 def _numbered(
     table: pa.Table, names: Sequence[str]
 ) -> tuple[list[tuple[str, ...]], Int[np.ndarray, " K"], Int[np.ndarray, " rows"]]:
-    """Gives the K different rows of some columns, where each comes first, and which each row is."""
+    """Gives the K different rows of some columns, their first places, and each row's number."""
     codes = np.zeros(len(table), dtype=np.int64)
     values: list[list[str]] = []
     for name in names:
@@ -124,10 +114,7 @@ def _numbered(
 
 
 def count_cells(outcomes: Sequence[Outcome], cells: Mapping[Cell, int]) -> Int[np.ndarray, "N 3"]:
-    """Counts the pairs (both, lost, gained) per tile and vehicle.
-
-    `cells` maps each tile and vehicle to its row.
-    """
+    """Counts the pairs (both, lost, gained) per tile and vehicle, by the rows in `cells`."""
     return count_pairs(
         (
             ((each.background, each.vehicle), each.detected_original, each.detected_adversarial)
@@ -140,7 +127,7 @@ def count_cells(outcomes: Sequence[Outcome], cells: Mapping[Cell, int]) -> Int[n
 def count_pairs(
     pairs: Iterable[tuple[Cell, bool, bool]], cells: Mapping[Cell, int]
 ) -> Int[np.ndarray, "N 3"]:
-    """Counts (both, lost, gained) per cell of vehicles that are found, or not, before and after."""
+    """Counts (both, lost, gained) per cell from vehicles found or missed before and after."""
     counts = np.zeros((len(cells), 3), dtype=np.int64)
     for cell, before, after in pairs:
         column = column_of_pair(before=before, after=after)

@@ -1,7 +1,4 @@
-"""One row per vehicle says whether it was detected in the original and in the adversarial image.
-
-The rows are plain data and need no torch.
-"""
+"""Outcomes: whether a detector found each vehicle without and with a camouflage. No torch."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -17,12 +14,12 @@ from skyproof.ranges import Fraction, Metres, Name, WholeNumber, limits_of
 from skyproof.results.pairs.parquet import read_table
 
 Match = Literal["centre_1m", "iou_50", "centre_in_box"]
-"""How a detection and a vehicle are paired, as `match_detections` says."""
+"""Match rule of `match_detections`."""
 
 MATCHES: tuple[Match, ...] = get_args(Match)
 
 ORIGINAL = "original"
-"""Stands where a camouflage's name would: nothing is changed."""
+"""Name of the unchanged images in place of a camouflage's."""
 
 _Score = Annotated[float, Meta(ge=-1e6, le=1e6)]
 _Degrees = Annotated[float, Meta(ge=-1e4, le=1e4)]
@@ -30,28 +27,25 @@ _Degrees = Annotated[float, Meta(ge=-1e4, le=1e4)]
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one vehicle under one camouflage (section 5.1).
+    """One vehicle under one camouflage, for one detector and one match rule (section 5.1).
 
-    It holds for one detector and one match criterion.
+    Azimuths and headings turn from east towards north.
 
     Attributes:
-        scene, placement: which vehicle: scene id and index in `Scene.placements`.
-        vehicle, body_type: fleet id ("saloon-0017") and what stands before its last hyphen.
-        background: the scene's background tile: the cluster of the bootstrap.
-        camouflage, renderer, detector, match: what was compared; `match` is one of `MATCHES`.
+        scene, placement: scene id and index in `Scene.placements`.
+        vehicle, body_type: fleet id ("saloon-0017") and its part before the last hyphen.
+        background: background tile of the scene, the cluster of the bootstrap.
         detected_original, detected_adversarial: matched by a detection at or above the frozen
             threshold.
-        score_original, score_adversarial: score of the matched detection, whatever the threshold; 0
-            where none.
-        distance_original_m, distance_adversarial_m: from its centre to the vehicle's, metres; nan
-            where none.
-        visible_fraction: share of the vehicle that is visible in the image; nan where not known.
-        sun_elevation_deg, sun_azimuth_deg: the sun; azimuth from east towards north.
-        tilt_deg, camera_azimuth_deg: the camera, off the vertical and towards which side.
-        heading_deg: of the vehicle, from east towards north, in [0, 360).
+        score_original, score_adversarial: score of the matched detection at any threshold; 0
+            without one.
+        distance_original_m, distance_adversarial_m: distance of the two centres in metres; nan
+            without a match.
+        visible_fraction: visible share of the vehicle; nan if unknown.
+        tilt_deg: angle of the camera off the vertical.
         heading_to_sun_deg: angle between heading and sun azimuth, folded to [0, 180]; 0 is driving
             into the sun.
-        condition: of the weather ("clear", "haze", ...).
+        condition: weather ("clear", "haze", ...).
     """
 
     scene: Name
@@ -98,11 +92,7 @@ def write_outcomes(path: Path, outcomes: Iterable[Outcome]) -> None:
 
 
 def read_outcomes(path: Path) -> list[Outcome]:
-    """Reads what `write_outcomes` wrote.
-
-    Raises:
-        StoredFileError: as `read_outcome_table` does.
-    """
+    """Reads what `write_outcomes` wrote; raises as `read_outcome_table` does."""
     return [Outcome(**row) for row in read_outcome_table(path).to_pylist()]
 
 

@@ -1,4 +1,4 @@
-"""Reading Parquet tables that this package wrote; nothing else gets in."""
+"""Reads Parquet tables that this package wrote and refuses others."""
 
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 from skyproof.errors import StoredFileError
 
 REMEDY = "copy the whole folder again, or score again"
-"""What is advised where a table of scores is not as it was written."""
+"""Advice on a damaged table of scores."""
 
 _MOST_ROWS = 10_000_000
 _LARGEST_BYTES = 2**32
@@ -30,10 +30,10 @@ def read_table(
 
     Args:
         path: the file.
-        schema: the columns that it must have.
-        hints: by column an annotation with the limits of its values.
+        schema: required columns.
+        hints: annotation with the limits of values, by column.
         undefined: columns whose numbers may be nan.
-        columns: those that are read; all where not given.
+        columns: columns to read; all by default.
 
     Raises:
         StoredFileError: the file is missing, not Parquet, too large, has other columns than

@@ -1,14 +1,14 @@
 """Accepted, rejected or undecided: a requirement on the share of vehicles that an attack hides.
 
-What is required is told as in compliance tests for success ratios (IEC 61123): two shares and the
-two risks of a wrong answer. IEC's plans take trials as independent, which vehicles of one tile are
-not. Here tiles are the trials, each with the share of its found vehicles that is lost, whatever
-these have in common. The evidence against a share is what a gambler has made of 1, who bets tile by
-tile that the mean of the tiles is smaller (or larger), at odds that are fair or worse if it is not.
-By Ville's inequality the chance that such a gambler ever holds 1/risk is at most the risk, however
-often one looks and whenever one stops (Waudby-Smith and Ramdas, "Estimating means of bounded random
-variables by betting", 2024). The gambler here divides the 1 evenly over fixed bets, so that the
-order of the tiles does not matter.
+A requirement is stated as in compliance tests for success ratios (IEC 61123): two shares and the
+two risks of a wrong answer. IEC's plans assume independent trials, but vehicles of one tile are
+dependent. Here tiles are the trials, each with the share of its found vehicles that is lost. The
+evidence against a share is the capital of a gambler who starts with 1 and bets tile by tile that
+the mean of the tiles is smaller (or larger), at odds that are fair or worse if it is not. By
+Ville's inequality the chance that the capital ever reaches 1/risk is at most the risk, at any
+number of looks and any stopping time (Waudby-Smith and Ramdas, "Estimating means of bounded random
+variables by betting", 2024). The 1 is divided evenly over fixed bets, so the order of the tiles
+does not matter.
 """
 
 import math
@@ -35,13 +35,13 @@ _MOST_TILES = 10**7
 
 @dataclass(frozen=True)
 class Requirement:
-    """What is asked of a detector: the share of found vehicles that every attack may hide.
+    """The share of found vehicles that an attack may hide.
 
     Attributes:
-        accept: share lost at which a detector is good (the producer's risk point).
-        reject: share lost at which it is bad (the consumer's risk point); above `accept`.
-        producer_risk: chance at most that a detector as good as `accept` is rejected.
-        consumer_risk: chance at most that a detector as bad as `reject` is accepted.
+        accept: share lost by a good detector (the producer's risk point).
+        reject: share lost by a bad one (the consumer's risk point), above `accept`.
+        producer_risk: largest chance that a detector as good as `accept` is rejected.
+        consumer_risk: largest chance that a detector as bad as `reject` is accepted.
     """
 
     accept: Annotated[float, Meta(ge=0, lt=1)]
@@ -62,7 +62,7 @@ class Requirement:
 def requirement_of(
     accept: float | None, reject: float | None, producer_risk: float, consumer_risk: float
 ) -> Requirement | None:
-    """Gives what two options ask; None where neither is given.
+    """Gives the requirement of two options; None where neither is given.
 
     Raises:
         ConfigurationError: only one of the shares is given, or they make no requirement.
@@ -78,17 +78,14 @@ def requirement_of(
 
 @dataclass(frozen=True)
 class Evidence:
-    """What one attack says of a detector.
+    """The evidence of one attack on a detector.
 
     Attributes:
-        found: vehicles found before.
-        lost: how many of them the attack hides.
-        share: mean over tiles of the share lost; it differs from lost / found where crowded tiles
-            fare otherwise.
-        at_least, at_most: which shares lost these tiles leave open, with the producer's risk that
-            it is less, and the consumer's risk that it is more.
-        for_acceptance: evidence that the share lost is below `reject`.
-        for_rejection: evidence that it is above `accept`.
+        found, lost: vehicles found before, and those of them that the attack hides.
+        share: mean share lost over tiles, which differs from lost / found if crowded tiles do.
+        at_least, at_most: bounds of the share at the producer's and the consumer's risk.
+        for_acceptance: evidence for a share below `reject`.
+        for_rejection: evidence for a share above `accept`.
     """
 
     found: int
@@ -102,16 +99,16 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Decision:
-    """The answer before all attacks.
+    """The answer after all attacks.
 
     Attributes:
-        answer: accepted, where every attack has evidence of 1/consumer_risk for acceptance: an
-            intersection–union test, whose risk needs no correction. Rejected, where the mean of
-            the attacks' evidence for rejection is 1/producer_risk, which holds the risk whatever
-            attacks have in common.
-        more_tiles: how many more tiles like these would decide; 0 where it is decided, None where
-            none would.
-        attacks: what each says, by name.
+        answer: accepted if every attack has evidence of 1/consumer_risk for acceptance: an
+            intersection–union test, whose risk needs no correction. Rejected if the mean of the
+            attacks' evidence for rejection is 1/producer_risk, which keeps the risk for any
+            dependence of the attacks.
+        more_tiles: number of further tiles like these that would decide; 0 if decided, None if no
+            number would.
+        attacks: evidence by name.
     """
 
     answer: Answer
@@ -126,9 +123,9 @@ def decide(
     """Decides on a detector.
 
     Args:
-        attacks: by name, per tile the vehicles found before, and those of them lost. Tiles on
-            which none was found say nothing.
-        requirement: what is asked.
+        attacks: vehicles found before and lost per tile, by name. Tiles without a found vehicle
+            are passed over.
+        requirement: requirement on the detector.
 
     Raises:
         ConfigurationError: no attack, or no vehicle found.
@@ -136,7 +133,7 @@ def decide(
     if not attacks or not all(int(found.sum()) for found, _ in attacks.values()):
         raise ConfigurationError(
             "A verdict expects at least one attack and vehicles that are found without it, got "
-            "none; look at the detector's check first."
+            "none; look at the detector's precheck first."
         )
     shares = {name: lost[found > 0] / found[found > 0] for name, (found, lost) in attacks.items()}
     logarithms = {
@@ -166,19 +163,14 @@ def decide(
 def evidence_below(
     shares: Float[np.ndarray, "*runs C"], limit: float
 ) -> Float[np.ndarray, "*runs"]:
-    """Gives the evidence for a mean below a limit; if it is not, ever 1/risk with a chance ≤ risk.
-
-    Args:
-        shares: lost per tile, in [0, 1]; tiles are alike and independent.
-        limit: in (0, 1].
-    """
+    """Gives the evidence for a mean share below a limit in (0, 1], from independent tiles."""
     return _mean(_below(shares, limit))
 
 
 def evidence_above(
     shares: Float[np.ndarray, "*runs C"], limit: float
 ) -> Float[np.ndarray, "*runs"]:
-    """Gives the evidence for a mean above a limit in [0, 1); else as `evidence_below`."""
+    """Gives the evidence for a mean share above a limit in [0, 1)."""
     return _mean(_above(shares, limit))
 
 
@@ -191,7 +183,7 @@ def fewest_tiles(reject: float, consumer_risk: float) -> int:
 
 
 def _below(shares: Float[np.ndarray, "*runs C"], limit: float) -> Float[np.ndarray, "*runs bets"]:
-    """Gives the logarithm of what 1 became under each bet, of a fixed part of what is safe."""
+    """Gives the logarithm of the capital under each bet, a fixed part of the largest safe one."""
     stakes = _BETS / max(1 - limit, _LEAST_LOSS)
     return np.stack([np.log1p(stake * (limit - shares)).sum(axis=-1) for stake in stakes], axis=-1)
 
@@ -201,14 +193,14 @@ def _above(shares: Float[np.ndarray, "*runs C"], limit: float) -> Float[np.ndarr
 
 
 def _mean(logarithms: Float[np.ndarray, "*runs bets"]) -> Float[np.ndarray, "*runs"]:
-    """Gives the evidence: the mean of the bets, up to e^700."""
+    """Gives the mean capital, up to e^700."""
     return np.asarray(np.exp(np.minimum(logarithms, 700.0)).mean(axis=-1))
 
 
 def _answer(
     logarithms: Mapping[str, tuple[np.ndarray, np.ndarray]], requirement: Requirement, times: float
 ) -> Answer:
-    """Answers as if every tile had been seen so many times."""
+    """Answers as if every tile had been seen this many times."""
     below = [float(_mean(times * each)) for each, _ in logarithms.values()]
     above = [float(_mean(times * each)) for _, each in logarithms.values()]
     if min(below) >= 1 / requirement.consumer_risk:
@@ -221,7 +213,7 @@ def _answer(
 def _more_tiles(
     logarithms: Mapping[str, tuple[np.ndarray, np.ndarray]], requirement: Requirement, tiles: int
 ) -> int | None:
-    """Halves what lies between the tiles that there are and as many as would decide."""
+    """Gives the further tiles that decide, by bisection."""
     few, enough = 1.0, 2.0
     while _answer(logarithms, requirement, enough) == "undecided":
         few, enough = enough, 2 * enough
@@ -237,7 +229,7 @@ def _more_tiles(
 
 
 def _bound(shares: Float[np.ndarray, " C"], risk: float, *, below: bool) -> float:
-    """Gives the last limit, in steps of a thousandth, that the evidence does not exclude."""
+    """Gives the last limit that the evidence does not exclude, in thousandths."""
     evidence = evidence_below if below else evidence_above
     limits = np.arange(1, 1001) / 1000 if below else np.arange(999, -1, -1) / 1000
     left = [float(limit) for limit in limits if evidence(shares, float(limit)) < 1 / risk]

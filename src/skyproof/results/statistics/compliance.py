@@ -1,7 +1,7 @@
-"""How a test of tiles will decide about a detector, and how many tiles a decision takes.
+"""Simulated tests of a requirement: the chances of each answer, and the tiles of a decision.
 
-What a test has shown is decided in `skyproof.results.statistics.acceptance`. Here tests are
-simulated, so that an intra-tile correlation has to be assumed.
+`skyproof.results.statistics.acceptance` decides a real test without assumptions. A simulation
+assumes an intra-tile correlation.
 """
 
 from dataclasses import dataclass
@@ -20,12 +20,7 @@ _DECIDED = 0.9
 
 @dataclass(frozen=True)
 class DecisionChances:
-    """What a test of tiles does with detectors that lose more and more.
-
-    Attributes:
-        shares: lost to the one attack that decides, `[S]`.
-        accepted, rejected: chances, `[S]`; the rest is undecided.
-    """
+    """The chances of acceptance and rejection by the share lost; the rest is undecided."""
 
     shares: Float[np.ndarray, " S"]
     accepted: Float[np.ndarray, " S"]
@@ -35,11 +30,11 @@ class DecisionChances:
 def chances_on_tiles(
     requirement: Requirement, assumptions: Assumptions, tiles: int
 ) -> DecisionChances:
-    """Gives the operating characteristic of a test on so many tiles, by simulation.
+    """Simulates the operating characteristic of a test with one attack.
 
-    Tiles show 1 vehicle or more by a Poisson distribution, of which each is found before by chance;
-    a tile without one says nothing. What tiles have in common is a beta distribution of the design
-    effect's correlation.
+    Tiles show 1 vehicle or more by a Poisson distribution, and each is found before by chance. A
+    tile without a found vehicle is passed over. The rates of tiles have a beta distribution with
+    the correlation of the design effect.
     """
     shares = np.linspace(0.0, 1.0, 41)
     chances = [_chances(requirement, assumptions, tiles, float(share)) for share in shares]
@@ -47,14 +42,12 @@ def chances_on_tiles(
 
 
 def tiles_to_decide(requirement: Requirement, assumptions: Assumptions) -> int:
-    """Says on how many tiles nine of ten tests decide rightly, by the simulation of
-    `chances_on_tiles`.
+    """Gives the tiles on which nine of ten tests decide rightly, as `chances_on_tiles` simulates.
 
-    The detector loses as much as `accept`, or as `reject`, whichever takes longer, and one attack
-    decides.
+    The detector loses as much as `accept`, or as `reject`, whichever takes longer.
 
     Raises:
-        ConfigurationError: more than 20,000 would be needed.
+        ConfigurationError: more than 20,000 are needed.
     """
 
     def enough(tiles: int) -> bool:

@@ -1,8 +1,7 @@
-"""Means of success rates over series, and how far such means lie apart, with their intervals.
+"""Means of success rates over series, and differences of such means, with their intervals.
 
-This is the one way by which the interval of any mean or difference is found: of detectors and
-repeats, of what learning adds to a random control, of one renderer against another, of a later step
-of an attack against an earlier one.
+All intervals of means and differences come from here: over detectors and repeats, of a camouflage
+against its control, of one renderer against another, of a later step against an earlier one.
 """
 
 from __future__ import annotations
@@ -127,7 +126,7 @@ def difference_interval(plus: Sequence[Group], minus: Sequence[Group]) -> Interv
 
 @dataclass(frozen=True)
 class _Values:
-    """A rate of every series: as it is, in the replicates, and with parts left out."""
+    """A rate of each series: the estimate, in the replicates, and with parts left out."""
 
     points: Float[np.ndarray, " S"]
     replicates: Float[np.ndarray, "R S"]
@@ -135,7 +134,7 @@ class _Values:
     vehicles: Float[np.ndarray, "V S"]
     cells: Float[np.ndarray, "N S"]
     telling: Int[np.ndarray, " S"]
-    """On how many tiles, or vehicles where these are fewer, each series is defined."""
+    """Number of tiles, or vehicles where these are fewer, on which each series is defined."""
 
     @classmethod
     def of(cls, group: Group, rate: Rate) -> _Values:
@@ -187,11 +186,10 @@ class _Values:
         )
 
     def mean(self, factors: Float[np.ndarray, " S"], limits: tuple[float, float]) -> Interval:
-        """Gives the interval of the mean, no surer than the series are.
+        """Gives the interval of the mean, no narrower than the series' own intervals require.
 
         Where every tile agrees in some series but not in all, resampling sees only the others'
-        spread. Then the mean of the series' own margins counts, as if they all erred together: they
-        stand on the same tiles.
+        spread. Then the mean of the series' margins counts, as if they all erred together.
         """
         whole = self.interval(factors, limits)
         if whole.unanimous or not any(is_unanimous(column) for column in self.replicates.T):
@@ -207,13 +205,7 @@ class _Values:
 def _square_and_add(
     means: Float[np.ndarray, "G R"], parts: Sequence[Interval], count: int
 ) -> tuple[float, float]:
-    """Says how far the limits of `count` groups' sum minus the others' lie from it on either side.
-
-    Args:
-        means: of the groups in the replicates.
-        parts: the interval of each group's mean.
-        count: how many groups are added; the others are subtracted.
-    """
+    """Gives the distances of the limits of the first `count` groups' sum minus the others'."""
     signs = np.where(np.arange(len(parts)) < count, 1.0, -1.0)
     below = np.array([part.estimate - part.low for part in parts])
     above = np.array([part.high - part.estimate for part in parts])
@@ -241,7 +233,7 @@ def _with_repeats(
     repeats: Sequence[Sequence[Repeat]],
     limits: tuple[float, float],
 ) -> Interval:
-    """Adds what repeats leave open: half-widths are squared and added."""
+    """Adds the uncertainty of repeats: half-widths are squared and added."""
     if math.isnan(whole.low):
         return whole
     spread = spread_of_repeats(values, factors, repeats)

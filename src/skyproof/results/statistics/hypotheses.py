@@ -1,6 +1,6 @@
-"""What is tested of a camouflage: that it changes anything, and that learning did more than chance.
+"""Two tests of a camouflage: that it changes anything, and that it hides more than its control.
 
-The first is McNemar's exact test against no camouflage, which a random pattern passes, too. The
+The first is McNemar's exact test against no camouflage, which random patterns can pass as well. The
 second is a permutation test against each draw of the random control, on the same vehicles.
 """
 
@@ -17,10 +17,8 @@ _FLIPS = 10_000
 def unchanged_p(totals: Int[np.ndarray, "repeats 3"]) -> float:
     """Gives the largest of the repeats' McNemar p-values; 1 where they point both ways.
 
-    So what it claims holds for every repeat.
-
     Args:
-        totals: per repeat the pairs (both, lost, gained).
+        totals: pairs (both, lost, gained) of each repeat.
     """
     balance = totals[:, 1] - totals[:, 2]
     if balance.min() < 0 < balance.max():
@@ -40,23 +38,22 @@ def mcnemar_p(lost: int, gained: int) -> float:
     return min(1.0, 2 * float(stats.binom.cdf(min(lost, gained), discordant, 0.5)))
 
 
-def control_p(learnt: Float[np.ndarray, "repeats C"], drawn: Float[np.ndarray, "draws C"]) -> float:
-    """Gives the largest p of learnt camouflages against draws of their control, in all pairs.
+def control_p(
+    optimised: Float[np.ndarray, "repeats C"], drawn: Float[np.ndarray, "draws C"]
+) -> float:
+    """Gives the largest p of optimised camouflages against draws of their control, in all pairs.
 
-    The hypothesis is that on every tile it is chance which of the two hides more. So learnt and
+    The hypothesis is that chance decides on each tile which of the two hides more. So optimised and
     drawn are swapped tile by tile: in all ways for up to 12 tiles on which they differ, else in
-    10,000 random ones, the same in every call. p is the share of swaps, the one that was observed
-    included, after which the sums differ by as much as they do, in either direction. It is 1 unless
-    the learnt one hides more in every pair: then nothing can be claimed of every repeat and every
-    draw.
-
-    Tiles count as independent; that a vehicle stands on several is left to the interval.
+    10,000 random ones, the same in every call. p is the share of swaps, the observed one included,
+    after which the sums differ by as much, in either direction. It is 1 unless the optimised one
+    hides more in every pair. Tiles count as independent.
 
     Args:
-        learnt, drawn: vehicles lost minus vehicles gained per repeat or draw and tile; of several
-            detectors their sum, each divided by the vehicles that it found before.
+        optimised, drawn: vehicles lost minus vehicles gained per repeat or draw and tile, summed
+            over detectors, each divided by the vehicles that it found before.
     """
-    differences = (learnt[:, None] - drawn[None]).reshape(-1, learnt.shape[1])
+    differences = (optimised[:, None] - drawn[None]).reshape(-1, optimised.shape[1])
     sums = differences.sum(axis=1)
     # Sums of fractions that are equal may differ by rounding.
     slack = 1e-9 * max(float(np.abs(differences).sum(axis=1).max()), 1e-300)

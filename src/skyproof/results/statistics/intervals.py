@@ -1,10 +1,9 @@
-"""How sure a rate is: intervals from clusters that were drawn, one way or crossed two ways.
+"""Intervals of rates from drawn clusters, crossed with drawn vehicles.
 
-Vehicles on one background tile share ground, light and neighbours, so they are not independent:
-the bootstrap resamples tiles, not vehicles. The vehicles of the fleet are a second sample, crossed
-with the first: what they add to the variance widens the interval. All detectors and camouflages see
-the same tiles and vehicles, which is what makes differences between them (net EASR, means over
-detectors) as sure as the pairing allows.
+Vehicles on one background tile share ground, light and neighbours, so the bootstrap resamples
+tiles. The vehicles of the fleet are a second sample, crossed with the first. Their part of the
+variance widens the interval. All detectors and camouflages see the same tiles and vehicles, which
+pairs their differences.
 
 Differences from the paper: it gives no intervals. Either limit is the farther of two: BCa's, at
 levels widened for few clusters, and the exact binomial one at the effective number of vehicles. In
@@ -12,8 +11,7 @@ simulations (`tests/results/test_intervals.py`) BCa alone held the truth in 90-9
 where nearly all vehicles of unlike tiles are lost.
 
 Vehicles enter by a jackknife (Cameron, Gelbach and Miller 2011) and not by Owen's (2007) pigeonhole
-bootstrap, in which tiles and vehicles are both resampled: where most cells show one vehicle, as in
-our tests, that counts the chance of the single vehicle three times.
+bootstrap, which counts the chance of a single vehicle three times where most cells show one.
 """
 
 import math
@@ -30,15 +28,13 @@ _TAIL = 0.025
 
 @dataclass(frozen=True)
 class Interval:
-    """An estimate with its 95 % limits.
-
-    What is undefined is nan: no vehicle was found before, or there are fewer than two tiles.
+    """An estimate with its 95 % limits; nan where no vehicle was found or there is one tile.
 
     Attributes:
         estimate, low, high: the rate and its limits.
         unanimous: whether every tile agreed in some part, so that exact binomial limits entered.
-        errors: the standard error by what was drawn: "tiles", "vehicles", "seeds", "draws",
-            "trainings". What is not named is not in the interval.
+        errors: the standard error by source of variation: "tiles", "vehicles", "seeds", "draws",
+            "trainings". The interval leaves out the others.
     """
 
     estimate: float
@@ -53,12 +49,7 @@ UNDEFINED = Interval(math.nan, math.nan, math.nan)
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A statistic's values when what is crossed with the clusters is left out, one at a time.
-
-    Attributes:
-        vehicles: `[V]` with each vehicle of the fleet left out.
-        cells: `[N]` with each vehicle on each tile left out.
-    """
+    """A statistic's values with each of V vehicles left out, and with each of N cells."""
 
     vehicles: Float[np.ndarray, " V"]
     cells: Float[np.ndarray, " N"]
@@ -67,13 +58,7 @@ class LeftOut:
 def resample(
     clusters: int, *, generator: np.random.Generator, replicates: int = REPLICATES
 ) -> Int[np.ndarray, "R C"]:
-    """Draws how often each cluster occurs in each bootstrap replicate, with replacement.
-
-    One draw serves all rows of a table.
-
-    Returns:
-        `[replicates, clusters]`; every row sums to `clusters`.
-    """
+    """Draws how often each cluster occurs in each bootstrap replicate, with replacement."""
     return generator.multinomial(clusters, np.full(clusters, 1 / clusters), size=replicates)
 
 
@@ -91,17 +76,15 @@ def cluster_interval(
     freedom times sqrt(C / (C − 1)) (Hesterberg 2015), because resampling C clusters understates
     their spread by that factor. Each limit is moved out to Korn and Graubard's (1998) where that is
     farther: the exact binomial limit at the effective number of vehicles, see `effective_limits`.
-    Replicates in which the statistic is undefined are left out. Where all replicates agree (nothing
-    changed on any tile, or everything did) resampling sees no spread; each cluster then counts as
-    one trial, where the statistic is defined on it, and the exact binomial limit 1 − 0.025^(1/C) is
-    used on both sides.
+    Replicates in which the statistic is undefined are left out. Where all replicates agree,
+    resampling sees no spread; each cluster then counts as one trial, where the statistic is defined
+    on it, and the exact binomial limit 1 − 0.025^(1/C) is used on both sides.
 
     Args:
         counts: `[S, C, 3]` (both, lost, gained) per series (detector, camouflage) and cluster.
         statistic: takes summed counts `[..., S, 3]`, gives `[...]`; nan where undefined.
         weights: `[R, C]` from `resample`.
-        limits: the values that the statistic can take. It is a rate or a difference of rates, and
-            so seldom beyond [-1, 1].
+        limits: smallest and largest value of the statistic.
     """
     total = counts.sum(axis=1)
     by_cluster = counts.transpose(1, 0, 2)
@@ -119,15 +102,14 @@ def resampled(
 ) -> Float[np.ndarray, "R S 3"]:
     """Sums the counts of every replicate."""
     flat = counts.transpose(1, 0, 2).reshape(counts.shape[1], -1)
-    # Floats, because only they are multiplied by fast library code; counts are far below 2^53, so
-    # it is exact.
+    # Floats are multiplied faster, and counts below 2^53 stay exact.
     return (weights.astype(np.float64) @ flat.astype(np.float64)).reshape(
         len(weights), len(counts), 3
     )
 
 
 def is_unanimous(replicates: Float[np.ndarray, " R"]) -> bool:
-    """Says whether all replicates that are defined show the same."""
+    """Says whether all defined replicates agree."""
     defined = replicates[~np.isnan(replicates)]
     return len(defined) > 0 and float(np.ptp(defined)) < 1e-12
 
@@ -147,19 +129,19 @@ def bootstrap_interval(
     Where vehicles are crossed with the clusters, the variance is that of both (`_crossed`): the
     half-width that vehicles add to that of the clusters is squared and added to BCa's, and the
     effective number of vehicles follows from the whole variance. Where all replicates agree, each
-    cluster or each vehicle that tells anything counts as one trial, whichever are fewer. With a
-    single vehicle nothing is known of others, and the interval is about this one.
+    cluster or each vehicle counts as one trial, whichever are fewer. The interval of a single
+    vehicle applies to it alone.
 
     Args:
         estimate: the statistic of all clusters.
-        replicates: `[R]` in the replicates; nan where undefined.
-        left_one_out: `[C]` with each cluster left out.
-        limits: the values that the statistic can take.
-        crossed: its values with vehicles and with cells left out; None where nothing is crossed.
-        telling: how many clusters, or vehicles where these are fewer, it is defined on; all where
-            not given. One on which no vehicle was found before agrees with nobody.
-        exact: whether the effective number of vehicles sets limits, too. It does so for one rate; a
-            difference of two may lie near 1, where a rate is nearly certain, and vary as before.
+        replicates: its values in the replicates; nan where undefined.
+        left_one_out: its values with each cluster left out.
+        limits: smallest and largest value of the statistic.
+        crossed: its values with vehicles and with cells left out, if crossed.
+        telling: number of clusters, or vehicles where these are fewer, on which it is defined; all
+            by default.
+        exact: whether the effective number of vehicles sets limits as well. It does so for one
+            rate, not for a difference of two.
     """
     clusters = len(left_one_out)
     replicates = replicates[~np.isnan(replicates)]
@@ -197,10 +179,10 @@ def bootstrap_interval(
 
 
 def _jackknife(left_one_out: Float[np.ndarray, " C"]) -> tuple[float, float]:
-    """Gives the jackknife variance, one left out at a time, and its degrees of freedom.
+    """Gives the jackknife variance and its degrees of freedom.
 
-    These are what the influences support, 2 / (relative variance of their sample variance): few
-    where few clusters decide (large kurtosis), at most C − 1.
+    These are 2 / (relative variance of the influences' sample variance): few where few clusters
+    decide (large kurtosis), at most C − 1.
     """
     clusters = len(left_one_out)
     influence = left_one_out[~np.isnan(left_one_out)]
@@ -214,11 +196,10 @@ def _jackknife(left_one_out: Float[np.ndarray, " C"]) -> tuple[float, float]:
 
 
 def _crossed(variance: float, degrees: float, crossed: LeftOut) -> tuple[float, float]:
-    """Gives what vehicles add to the variance by tiles, and the degrees of freedom of both.
+    """Gives the vehicles' part of the variance, and Satterthwaite's degrees of freedom of both.
 
-    The variance of clusters crossed two ways is V_tiles + V_vehicles − V_cells, as cells are in
-    either (Cameron, Gelbach and Miller 2011), and at least that of each way alone. The degrees of
-    freedom are Satterthwaite's.
+    The variance of clusters crossed two ways is V_tiles + V_vehicles − V_cells (Cameron, Gelbach
+    and Miller 2011), and at least that of each way alone.
     """
     by_vehicle, own = _jackknife(crossed.vehicles)
     by_cell, _ = _jackknife(crossed.cells)
@@ -233,20 +214,15 @@ def effective_limits(
 ) -> tuple[float, float]:
     """Gives exact binomial limits at the effective sample size.
 
-    The estimate counts as a share p of `span`. p(1 − p) / variance is how many independent vehicles
-    would be as telling. That is multiplied by (1.96 / t)², t being Student's quantile, because the
-    variance is itself estimated (Korn and Graubard 1998). Nothing is moved where the estimate lies
-    on an end of `span` or outside. Differences from Korn and Graubard: the size may exceed the
-    sample's.
+    The estimate counts as a share p of `span`, and p(1 − p) / variance as the number of independent
+    vehicles. That is multiplied by (1.96 / t)², t being Student's quantile, because the variance is
+    itself estimated (Korn and Graubard 1998). An estimate on an end of `span` or outside has no
+    such limits. Difference from Korn and Graubard: the size may exceed the sample's.
 
     Args:
         estimate: a rate or a difference of rates.
-        variance: of the estimate.
-        degrees: of freedom of the variance.
-        span: the smallest and the largest value that the estimate can take.
-
-    Returns:
-        The low and the high limit.
+        variance, degrees: variance of the estimate with its degrees of freedom.
+        span: smallest and largest value of the estimate.
     """
     width = span[1] - span[0]
     share = (estimate - span[0]) / width
@@ -262,20 +238,14 @@ def effective_limits(
 
 
 def unanimous_margin(clusters: int) -> float:
-    """Says how far the exact binomial limit lies from the estimate where all clusters agree.
-
-    It is 1 − 0.025^(1/C).
-    """
+    """Gives the distance of the exact binomial limit where all clusters agree, 1 − 0.025^(1/C)."""
     return 1 - _TAIL ** (1 / clusters)
 
 
 def _levels(
     estimate: float, replicates: Float[np.ndarray, " R"], left_one_out: Float[np.ndarray, " C"]
 ) -> Float[np.ndarray, " 2"]:
-    """Gives the two quantile levels of the bootstrap distribution that BCa reads.
-
-    They are widened for few clusters.
-    """
+    """Gives BCa's two quantile levels of the bootstrap distribution, widened for few clusters."""
     clusters = len(left_one_out)
     # Ties count half: rates of few vehicles are lumpy.
     below = np.mean(replicates < estimate) + np.mean(replicates == estimate) / 2

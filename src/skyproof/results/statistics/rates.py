@@ -11,36 +11,24 @@ from jaxtyping import Float, Num
 
 
 def column_of_pair(*, before: bool, after: bool) -> int | None:
-    """Says in which of (both, lost, gained) a vehicle counts that was found, or not, in two images.
-
-    It is None where the vehicle was missed in both.
-    """
+    """Gives the column (both, lost, gained) of a vehicle; None if it was missed in both images."""
     if before:
         return 0 if after else 1
     return 2 if after else None
 
 
 def attack_success_rate(counts: Num[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape"]:
-    """Gives ASR = |V_dm| / |V_dd ∪ V_dm|: of the vehicles found before, the share now missed.
-
-    It is nan where none was found before.
-    """
+    """Gives ASR = |V_dm| / |V_dd ∪ V_dm|, the share of found vehicles now missed; else nan."""
     return _divide(counts[..., 1], counts[..., 0] + counts[..., 1])
 
 
 def enhancement_rate(counts: Num[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape"]:
-    """Gives ER = |V_md| / |V_dd ∪ V_dm|: vehicles found only since, over those found before.
-
-    It may exceed 1.
-    """
+    """Gives ER = |V_md| / |V_dd ∪ V_dm|, vehicles found only since; it may exceed 1."""
     return _divide(counts[..., 2], counts[..., 0] + counts[..., 1])
 
 
 def overall_attack_success_rate(counts: Num[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape"]:
-    """Gives EASR = ASR − ER, which is 1 − TP_adversarial / TP_original at the fixed threshold.
-
-    It is nan where none was found before.
-    """
+    """Gives EASR = ASR − ER, which is 1 − TP_adversarial / TP_original at the fixed threshold."""
     return _divide(counts[..., 1] - counts[..., 2], counts[..., 0] + counts[..., 1])
 
 

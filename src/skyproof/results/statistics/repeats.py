@@ -1,4 +1,4 @@
-"""How far seeds of an attack, draws of a control and trainings of detectors leave a mean open."""
+"""The part of an interval due to seeds of an attack, draws of a control and trainings."""
 
 import math
 from collections.abc import Sequence
@@ -13,13 +13,12 @@ _TAIL = 0.025
 
 @dataclass(frozen=True)
 class Kind:
-    """What sort of repeats these are.
+    """A kind of repeat.
 
     Attributes:
         name: "seeds", "draws" or "trainings".
-        usual_sd: the standard deviation of their rates that is expected before they are seen. It
-            counts as one repeat.
-        paired_sd: the same of the differences between what each repeat does in two places.
+        usual_sd: expected standard deviation of their rates. It counts as one repeat.
+        paired_sd: expected standard deviation of a repeat's differences between two places.
     """
 
     name: str
@@ -28,33 +27,31 @@ class Kind:
 
 
 SEEDS = Kind("seeds", 0.07, 0.07)
-"""Of a learnt camouflage. Three seeds each had a standard deviation of 0.11 for S-O, and of 0.01 at
+"""Seeds of an attack. Three seeds each had a standard deviation of 0.11 for S-O, and of 0.01 at
 most for textures (quick preset of 2026-11-21). With 0.05 three simulated seeds of standard
 deviation 0.1 held the truth in 92 % of runs at worst, with 0.07 in 96 %."""
 
 DRAWS = Kind("draws", 0.5, SEEDS.usual_sd)
-"""Of a random control: the largest standard deviation that a rate between 0 and 1 can have.
-Controls of few colours come near it: three draws of R-Lc hid 5, 27 and 91 %, R-PixLc −1, 35 and
-92 %. What a draw does under one renderer it does much alike under another: of such differences no
-more is expected than of seeds."""
+"""Draws of a random control: the largest standard deviation of a rate between 0 and 1. Controls of
+few colours come near it: three draws of R-Lc hid 5, 27 and 91 %, R-PixLc −1, 35 and 92 %. A draw
+acts much alike under two renderers, so their differences have the standard deviation of seeds."""
 
 TRAININGS = Kind("trainings", 0.1, 0.1)
-"""Of the detectors, each with attacks of its own: with another training comes another seed, too.
-Measured since this was chosen were 0.002 to 0.11 for means over three detectors, and up to 0.19 for
-a single one (docs/results/trainings). Three simulated trainings of standard deviation 0.15, as of
-trainings and seeds by some 0.1 each, held the truth in 93 % of runs at worst, with 0.07 in 91 %. An
-attack and a control before the same training are paired, but need not fare alike, so that no less
-is expected of their difference."""
+"""Trainings of the detectors, each with attacks from another seed. Measured were 0.002 to 0.11
+for means over three detectors, and up to 0.19 for a single one (docs/results/trainings). Three
+simulated trainings of standard deviation 0.15 held the truth in 93 % of runs at worst, with 0.07 in
+91 %. An attack and a control on one training are paired, but need not fare alike, so their
+difference has the same standard deviation."""
 
 
 @dataclass(frozen=True)
 class Repeat:
-    """Which repeat a series belongs to.
+    """The repeat that a series belongs to.
 
     Attributes:
-        of: what is repeated: "R-U", or "detectors".
-        number: which it is; series that share it (detectors, renderers) are of one repeat.
-        kind: what sort of repeat.
+        of: the thing repeated: "R-U", or "detectors".
+        number: number of the repeat; series that share it (detectors, renderers) are of one repeat.
+        kind: seeds, draws or trainings.
     """
 
     of: str
@@ -64,11 +61,11 @@ class Repeat:
 
 @dataclass(frozen=True)
 class Spread:
-    """What repeats leave open of a sum of rates.
+    """The uncertainty of a sum of rates due to repeats.
 
     Attributes:
-        variances: of the sum, by name of the kind.
-        below, above: how far the 95 % limits lie from the sum on either side.
+        variances: variances of the sum, by name of the kind.
+        below, above: distances of the 95 % limits from the sum.
     """
 
     variances: dict[str, float]
@@ -81,21 +78,21 @@ def spread_of_repeats(
     factors: Float[np.ndarray, " S"],
     repeats: Sequence[Sequence[Repeat]],
 ) -> Spread:
-    """Says how far the repeats that were seen leave the mean of all open.
+    """Gives the uncertainty of the mean over all repeats, of which some were seen.
 
     Per thing repeated, R repeats have the variance (σ² + Σ (x − mean)²) / R of one of them, with R
-    degrees of freedom: the repeat that was expected, σ off the mean, and those that were seen. So
-    few repeats that happen to agree do not pass for certain, and many speak for themselves. What
-    was not repeated adds nothing: then the interval is about this very seed, draw or training.
+    degrees of freedom: the expected repeat, σ off the mean, and those seen. So few repeats that
+    happen to agree do not pass for certain. A single repeat adds nothing: then the interval applies
+    to this seed, draw or training alone.
 
-    Half-widths are Student's; those of several things are squared and added. None reaches farther
-    than the mean of repeats can lie: from 0 to 1, or to a repeat that lies beyond.
+    Half-widths are Student's; those of several things are squared and added. None reaches beyond
+    the range of a mean of repeats: from 0 to 1, or to a repeat that lies beyond.
 
     Args:
-        values: the series' rates.
-        factors: by which they are multiplied in the sum.
-        repeats: of each series, one for each thing of which it is a repeat: a control before the
-            second of three trainings is one of its draws and one of the trainings.
+        values: rates of the series.
+        factors: their factors in the sum.
+        repeats: repeats of each series, one for each thing: a control on the second of three
+            trainings is one of its draws and one of the trainings.
     """
     variances: dict[str, float] = {}
     margins: list[tuple[float, float]] = []

@@ -1,4 +1,4 @@
-"""Which tiles and which vehicles were drawn: what the counts of a test are crossed by."""
+"""The drawn tiles and vehicles of a test."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,13 +13,13 @@ from skyproof.results.statistics.intervals import REPLICATES, resample, resample
 
 @dataclass(frozen=True)
 class Sample:
-    """The N cells in which vehicles were seen, each one vehicle of the fleet on one tile.
+    """The N cells of a test, each one vehicle of the fleet on one tile.
 
-    A vehicle stands on many tiles, and a tile shows many vehicles, so that neither is nested in the
-    other. All rows of a table share one sample, which pairs their differences.
+    A vehicle stands on many tiles, and a tile shows many vehicles, so neither is nested in the
+    other. All results share one sample, which pairs their differences.
 
     Attributes:
-        tile, vehicle: numbers of each cell's, from 0 and without gaps.
+        tile, vehicle: number of each cell's tile and vehicle, from 0 without gaps.
         weights: resampled tiles, from `resample`.
     """
 
