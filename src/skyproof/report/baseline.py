@@ -39,11 +39,18 @@ class BaselineSet:
 
 
 @dataclass(frozen=True)
-class Standing:
-    """The data behind the numbers, and their consequence."""
+class RealData:
+    """Clauses and sentences on the real data behind the numbers; empty where there is none.
 
-    heading: str
-    sentences: Sequence[str]
+    Attributes:
+        scores: baseline on photographs.
+        weak: detectors with a low one.
+        removed: removal of vehicles from the photographs.
+    """
+
+    scores: str
+    weak: str
+    removed: str
 
 
 def baseline_sets(results: Results) -> list[BaselineSet]:
@@ -71,67 +78,20 @@ def _contents(baseline: Baseline) -> str:
     return "; ".join(part for part in parts if part)
 
 
-def standing(results: Results) -> Standing:
-    """Describes the data behind the report; purely synthetic data comes first."""
+def real_data(results: Results) -> RealData:
+    """Describes the real data behind the report.
+
+    Raises:
+        StoredFileError: the record of the removed vehicles is damaged.
+    """
     real = [one for one in baseline_sets(results) if one.real]
-    scores = _scores(real, results.all_detectors)
-    synthetic = results.sources == ["procedural"]
-    if synthetic and not real:
-        return Standing(
-            "Synthetic data only.",
-            [
-                "Ground, vehicles and all images of the baseline are computer-generated. No pixel "
-                "comes from a camera.",
-                "The numbers say how the detectors behave in that world. They are no evidence "
-                "about real imagery, because these detectors were not tested on real vehicles. In "
-                "the published study that this report follows, detectors trained on renders alone "
-                "reached an AP of 49 to 64 % on photographs.",
-                "Measure the baseline on annotated photographs before you quote any number.",
-            ],
-        )
-    unchecked = (
-        "No annotated photographs were scored, so this report cannot say whether the detectors "
-        "find real vehicles."
+    layout = Layout(results.folder)
+    cut = bool(results.rows) and results.sources not in ([], ["procedural"])
+    return RealData(
+        _scores(real, results.all_detectors),
+        _weak(real, results.all_detectors),
+        _removed(layout) if cut else "",
     )
-    if not results.rows:
-        heading = "Baseline only."
-        sentences = ["No camouflage was scored."]
-        if real:
-            sentences.append(f"On photographs the detectors score {scores}.")
-        else:
-            sentences.append(unchecked)
-    elif synthetic:
-        heading = "Synthetic ground and vehicles, baseline on photographs."
-        sentences = [
-            "No camouflaged image comes from a camera. The success rates say how the detectors "
-            "behave in a computer-generated world, not what painted vehicles would do.",
-            f"On photographs without camouflage they score {scores}.",
-        ]
-    elif not results.sources:
-        heading = "Unknown ground."
-        sentences = [
-            "Every tested vehicle is computer-generated. The scores do not record the ground: give "
-            "skyproof score the --backgrounds of the scenes.",
-            f"On photographs without camouflage the detectors score {scores}."
-            if real
-            else unchecked,
-        ]
-    else:
-        heading = "Real ground, rendered vehicles."
-        sentences = [
-            "The ground is real imagery. Every tested vehicle is computer-generated.",
-            _removed(Layout(results.folder)),
-            f"On real vehicles without camouflage the detectors score {scores}."
-            if real
-            else unchecked,
-        ]
-    weak = _weak(real, results.all_detectors)
-    if weak:
-        sentences.append(
-            f"{weak}: attacks on detectors with so low a baseline may say little about real "
-            "imagery."
-        )
-    return Standing(heading, sentences)
 
 
 class _Removed(Struct, frozen=True):
@@ -181,6 +141,8 @@ def _removed(layout: Layout) -> str:
 
 def _scores(sets: Sequence[BaselineSet], detectors: Sequence[str]) -> str:
     """Writes "an AP of 21 % (RetinaNet, 15 to 30 %) and … on KIT" for every set."""
+    if not sets:
+        return ""
     parts = []
     for one in sets:
         cells = []

@@ -19,7 +19,7 @@ from skyproof.report.acceptance import read_requirement, rule, write_verdict
 from skyproof.report.advice import advice, limits
 from skyproof.report.answer import answer, worst_case
 from skyproof.report.appendix import flat_settings, full_tables
-from skyproof.report.baseline import baseline_sets, standing
+from skyproof.report.baseline import baseline_sets, real_data
 from skyproof.report.embedded import embedded, embedded_jpeg
 from skyproof.report.figures import condition_figure, forest_figure
 from skyproof.report.hardening import hardening, readings
@@ -163,7 +163,7 @@ def _write(
             acceptance=acceptance,
             query=query,
             precheck=precheck,
-            standing=standing(results),
+            real=real_data(results),
             baselines=baselines,
             opening=opening(every, acceptance, precheck, baselines, hardened=hardened is not None),
             example=next(iter(contents.pairs(strongest, 1)), None) if strongest else None,
