@@ -14,8 +14,7 @@ from skyproof.report import figures
 __all__ = ["figures_are_drawn_once"]
 
 _PLACES = {
-    "skyproof.report.report": ("condition_figure", "forest_figure"),
-    "skyproof.report.losses": ("loss_figure",),
+    "skyproof.report.report": ("condition_figure", "forest_figure", "loss_figure"),
 }
 
 

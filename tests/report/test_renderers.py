@@ -55,7 +55,7 @@ def table_of(page, caption):
     """The body of the table with these words in its caption, as rows of cells."""
     table = next(
         part
-        for part in re.findall(r"<table>.*?</table>", page, re.S)
+        for part in re.findall(r"<table[^>]*>.*?</table>", page, re.S)
         if caption in part.split("</caption>")[0]
     )
     rows = re.findall(r"<tr[^>]*>(.*?)</tr>", table[table.index("<tbody>") :], re.S)
@@ -107,7 +107,7 @@ def test_both_renderers_have_an_answer_and_their_tables(page):
         text.index("images of Blender Cycles, unknown to"),
     )
     assert first < second < text.index("Results in full")
-    for heading in ("Differentiable renderer, found = centre", "Blender Cycles, found = boxes"):
+    for heading in ("differentiable renderer, found = centre", "Blender Cycles, found = boxes"):
         assert len(table_of(page, heading)) == 6  # T-U and R-U for two detectors and their mean
     assert "Net success is lower in this light" in text
     assert "same synthetic vehicle shapes" in text[text.index("Limits") :]
@@ -158,7 +158,7 @@ def test_without_cycles_the_page_is_as_before(both, run_folder):
     page = write_report(run_folder).read_text()
     assert page == (both / "without.html").read_text()
     assert "Cycles" not in page
-    assert "Renderer torch, found = centre within 1.0 m" in page
+    assert "Images of the differentiable renderer, found = centre within 1.0 m" in page
 
 
 def test_missing_pictures_of_cycles_are_left_out(run_folder):

@@ -17,7 +17,7 @@ from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError
 from skyproof.files import file_digest, write_json
 from skyproof.layout import Layout
-from skyproof.report.acceptance_figure import chances_figure
+from skyproof.report.figures import chances_figure
 from skyproof.results.findings import findings, worst
 from skyproof.results.pairs.counts import OutcomeCounts
 from skyproof.results.precheck import read_prechecks

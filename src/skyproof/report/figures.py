@@ -15,6 +15,8 @@ from matplotlib.ticker import NullFormatter
 
 from skyproof.results.conditions import Panel
 from skyproof.results.result import Result
+from skyproof.results.statistics.acceptance import Requirement
+from skyproof.results.statistics.compliance import DecisionChances
 from skyproof.results.statistics.intervals import Interval
 from skyproof.words import detector_name
 
@@ -217,3 +219,30 @@ def as_svg(figure: Figure) -> str:
     plt.close(figure)
     text = buffer.getvalue()
     return text[text.index("<svg") :]
+
+
+def chances_figure(chances: DecisionChances, requirement: Requirement) -> str:
+    """Draws the chances of each answer against the share lost, with the requirement's points."""
+    with plt.rc_context(STYLE | {"svg.hashsalt": "acceptance"}):
+        figure, axes = plt.subplots(figsize=(7.2, 3.4), layout="constrained")
+        undecided = 1 - chances.accepted - chances.rejected
+        for label, values, line, colour, width in (
+            ("accepted", chances.accepted, "-", BLUE, 2.2),
+            ("rejected", chances.rejected, "--", ORANGE, 2.2),
+            ("undecided", undecided, ":", GREY, 2.0),
+        ):
+            share = 100 * chances.shares
+            axes.plot(share, 100 * values, line, color=colour, linewidth=width, label=label)
+        for limit, risk, colour in (
+            (requirement.accept, requirement.producer_risk, ORANGE),
+            (requirement.reject, requirement.consumer_risk, BLUE),
+        ):
+            axes.axvline(100 * limit, color="#c6cdd4", linewidth=1, zorder=0)
+            axes.plot([100 * limit], [100 * risk], "v", color=colour, markersize=8)
+        axes.set_xlim(0, min(100, 250 * requirement.reject))
+        axes.set_ylim(-2, 102)
+        axes.set_xlabel("% of the found vehicles that the detector loses")
+        axes.set_ylabel("% of such tests")
+        axes.grid(color="#e3e7eb")
+        axes.legend(fontsize=10, loc="center right")
+        return as_svg(figure)

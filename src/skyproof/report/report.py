@@ -1,6 +1,7 @@
 """Writes a run's `report.html`, one self-contained page."""
 
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,12 +19,10 @@ from skyproof.layout import Layout
 from skyproof.report.acceptance import read_requirement, rule, write_verdict
 from skyproof.report.advice import advice, limits
 from skyproof.report.answer import answer, worst_case
-from skyproof.report.appendix import flat_settings, full_tables
 from skyproof.report.baseline import baseline_sets, real_data
 from skyproof.report.embedded import embedded, embedded_jpeg
-from skyproof.report.figures import condition_figure, forest_figure
+from skyproof.report.figures import condition_figure, forest_figure, loss_figure
 from skyproof.report.hardening import hardening, readings
-from skyproof.report.losses import attack_loss, training_loss
 from skyproof.report.opening import opening, strongest_of
 from skyproof.report.precheck import precheck_part
 from skyproof.report.queries import query_part
@@ -33,6 +32,7 @@ from skyproof.results.findings import rate_outcome, rate_words
 from skyproof.results.result import Result
 from skyproof.results.results import Results
 from skyproof.results.statistics.acceptance import Requirement
+from skyproof.results.stored import read_log
 from skyproof.results.worst import worst_cases
 
 _SEED = 20240
@@ -167,13 +167,12 @@ def _write(
             baselines=baselines,
             opening=opening(every, acceptance, precheck, baselines, hardened=hardened is not None),
             example=next(iter(contents.pairs(strongest, 1)), None) if strongest else None,
-            tables=full_tables(results),
             more=more,
-            training=training_loss(results),
+            training=contents.training(),
             advice=advice(results.by_detector(every[0])) if every else [],
             hardening=hardened,
             limits=limits(results, every),
-            settings=flat_settings(results.config.every),
+            settings=_flat_settings(results.config.every),
         )
     )
     write_bytes(layout.report, page.encode())
@@ -285,7 +284,27 @@ class _Contents:
         return readings(self.panels(row))
 
     def loss(self, row: Result) -> Markup | None:
-        return attack_loss(self._results, row.camouflage)
+        """Draws the losses of an attack against its steps; None where they are not kept."""
+        path = self._results.pattern(row.camouflage, "steps.jsonl")
+        curves: dict[str, list[tuple[float, float]]] = {}
+        for step in [] if path is None else read_log(path):
+            losses = step.losses or ({} if step.loss is None else {"all": step.loss})
+            for detector, loss in losses.items():
+                curves.setdefault(detector, []).append((float(step.step), loss))
+        title = f"Attack {row.camouflage}: loss per detector"
+        return Markup(loss_figure(title, curves)) if curves else None
+
+    def training(self) -> Markup | None:
+        """Draws the losses of the detectors' trainings; None where none is kept."""
+        curves = {}
+        for name in self._results.cards:
+            path = Layout(self._results.folder).detector(name) / "steps.jsonl"
+            # Validations in the log have no loss.
+            rows = read_log(path) if path.exists() else []
+            points = [(float(row.step), row.loss) for row in rows if row.loss is not None]
+            if points:
+                curves[name] = points
+        return Markup(loss_figure("Training of the detectors", curves)) if curves else None
 
     def picture(self, row: Result, file: str, *, lossless: bool = True) -> str | None:
         return embedded(self._results.pattern(row.camouflage, file), lossless=lossless)
@@ -349,3 +368,17 @@ def _imagery(results: Results) -> str:
     shown = ", ".join(results.sources[:4])
     more = f" and {len(results.sources) - 4} more" if len(results.sources) > 4 else ""
     return f"real imagery ({shown}{more})"
+
+
+def _flat_settings(value: Any, prefix: str = "") -> list[tuple[str, str]]:
+    """Settings as dotted names and values."""
+    if isinstance(value, Mapping):
+        return [
+            pair
+            for key, inner in value.items()
+            for pair in _flat_settings(inner, f"{prefix}.{key}" if prefix else str(key))
+        ]
+    if isinstance(value, list):
+        plain = all(not isinstance(item, list | dict) for item in value)
+        return [(prefix, ", ".join(map(str, value)) if plain else json.dumps(value))]
+    return [(prefix, str(value))]
