@@ -20,13 +20,12 @@ from skyproof.layout import Layout
 from skyproof.report.figures import chances_figure
 from skyproof.results.findings import findings, worst
 from skyproof.results.pairs.counts import OutcomeCounts
-from skyproof.results.precheck import read_prechecks
 from skyproof.results.result import MAIN_MATCH
 from skyproof.results.results import RENDERER, Results
 from skyproof.results.statistics.acceptance import Decision, Evidence, Requirement, decide
 from skyproof.results.statistics.compliance import chances_on_tiles
 from skyproof.results.statistics.planning import assume_from_pilot, tiles_to_show
-from skyproof.scenes.scene import Scene, read_scenes, scenes_digest
+from skyproof.scenes.scene import scenes_digest
 from skyproof.words import body_name, detector_name, interval, percent, renderer_name
 
 _REMEDY = "move it away, or report again with --accept and --reject"
@@ -56,7 +55,7 @@ class Ruling:
 class Acceptance:
     """The page's part on the verdict: requirement, rulings, operating characteristic and scope."""
 
-    requirement: str
+    requirement: Requirement
     rulings: Sequence[Ruling]
     figure: Markup | None
     validity: str
@@ -83,7 +82,6 @@ def rule(results: Results, requirement: Requirement, alarms: Sequence[str] = ())
         ConfigurationError: no camouflage of the run is such an attack.
         StoredFileError: a file of the run is damaged.
     """
-    checked = read_prechecks(Layout(results.folder).detectors)
     rulings = []
     for name in results.detectors:
         attacks = _attacks(results.counts, name)
@@ -93,7 +91,8 @@ def rule(results: Results, requirement: Requirement, alarms: Sequence[str] = ())
                 f"found none for {name}; attack the detector, then score and report again."
             )
         decision = decide(attacks, requirement)
-        outcome = worst(findings(checked[name])) if name in checked else None
+        precheck = results.prechecks.get(name)
+        outcome = None if precheck is None else worst(findings(precheck))
         if outcome is None or outcome.outcome == "failed":
             why = (
                 "no precheck of it is here (skyproof precheck)"
@@ -109,7 +108,7 @@ def rule(results: Results, requirement: Requirement, alarms: Sequence[str] = ())
             ruling = _ruling(name, decision, results, requirement)
             rulings.append(_doubted(ruling, requirement) if alarms else ruling)
     figure = _figure(results, requirement)
-    return Acceptance(_requirement(requirement), rulings, figure, _validity(results))
+    return Acceptance(requirement, rulings, figure, _validity(results))
 
 
 def write_verdict(
@@ -118,7 +117,6 @@ def write_verdict(
     """Writes `verdict.json`: the answers, and digests of everything that they rest on."""
     layout = Layout(results.folder)
     digests = {name: card.weights_sha256 for name, card in results.cards.items()}
-    scenes = layout.scenes("test")
     document = {
         "skyproof": skyproof.__version__,
         "suite": results.config.every.get("suite"),
@@ -137,7 +135,7 @@ def write_verdict(
         ],
         "validity": acceptance.validity,
         "sha256": {
-            "scenes": scenes_digest(read_scenes(scenes)) if scenes.exists() else "",
+            "scenes": scenes_digest(results.test_scenes) if results.test_scenes else "",
             "backgrounds": _digest(layout.backgrounds),
             "fleet": _digest(layout.fleets / "test"),
             "settings": _digest(layout.config),
@@ -199,7 +197,7 @@ def _ruling(name: str, decision: Decision, results: Results, requirement: Requir
             "At this rate no number of vehicles would decide."
             if more is None
             else f"About {more:,} more test vehicles on {decision.more_tiles:,} more tiles would "
-            f"decide at this rate.{_how(decision.more_tiles or 0, results)}"
+            f"decide at this rate.{_imagery(decision.more_tiles or 0, results)}"
         )
         said = [f"{shown} is UNDECIDED: {lost}.", enough]
     return Ruling(name, decision.answer, said, more, attacks)
@@ -222,18 +220,16 @@ def _doubted(ruling: Ruling, requirement: Requirement) -> Ruling:
 def _more_vehicles(more_tiles: int | None, results: Results) -> int | None:
     if more_tiles is None:
         return None
-    shown = next(iter(results.counts.series.values()))[:, 0]
-    per_tile = shown.sum() / len({tile for tile, _ in results.counts.cells})
-    return math.ceil(more_tiles * per_tile)
+    in_sight = next(iter(results.counts.series.values()))[:, 0]
+    return math.ceil(more_tiles * in_sight.sum() / results.counts.tiles)
 
 
-def _how(more_tiles: int, results: Results) -> str:
-    """Says how much imagery shows so many more tiles, or that none does."""
-    place = Layout(results.folder).scenes("test")
-    if not place.exists():
+def _imagery(more_tiles: int, results: Results) -> str:
+    """Says how much imagery shows this number of further tiles, or that none does."""
+    scenes = len(results.test_scenes)
+    needed = results.counts.tiles + more_tiles
+    if not scenes:
         return ""
-    scenes = len(read_scenes(place))
-    needed = len({tile for tile, _ in results.counts.cells}) + more_tiles
     if needed >= scenes:
         return (
             f" {scenes} test scenes cannot show so many. Ask for a wider gap between the two "
@@ -242,55 +238,36 @@ def _how(more_tiles: int, results: Results) -> str:
     return f" Imagery with about {tiles_to_show(needed, scenes):,} test tiles is enough."
 
 
-def _requirement(requirement: Requirement) -> str:
-    return (
-        f"Requirement: accept a detector that loses {percent(requirement.accept)} of its found "
-        f"vehicles to the strongest attack, and reject one that loses "
-        f"{percent(requirement.reject)}. The first is rejected wrongly in at most "
-        f"{percent(requirement.producer_risk)} of such tests, the second accepted wrongly in at "
-        f"most {percent(requirement.consumer_risk)}. Between the two, either answer is right. A "
-        "vehicle is lost when no detection’s centre lies within 1 m of its own, though a detection "
-        "may still touch it."
-    )
-
-
 def _figure(results: Results, requirement: Requirement) -> Markup | None:
     try:
         assumptions = assume_from_pilot(results.counts)
     except ConfigurationError:
         return None
-    tiles = len({tile for tile, _ in results.counts.cells})
-    return Markup(chances_figure(chances_on_tiles(requirement, assumptions, tiles), requirement))
+    chances = chances_on_tiles(requirement, assumptions, results.counts.tiles)
+    return Markup(chances_figure(chances, requirement))
 
 
 def _validity(results: Results) -> str:
     """States the scope of the verdict."""
-    place = Layout(results.folder).scenes("test")
-    if not place.exists():
+    scenes = results.test_scenes
+    if not scenes:
         return "The scope of the verdict is unknown: the file of the test scenes is missing."
-    scenes = read_scenes(place)
     kinds = sorted(
         {body_name(each.vehicle.rpartition("-")[0]) for one in scenes for each in one.placements}
     )
     weather = sorted({scene.weather.condition for scene in scenes})
+    drawn = results.sources in (["procedural"], [])
+    ground = "the procedural one" if drawn else ", ".join(results.sources[:3])
+    gsds_cm = sorted({round(100 * scene.camera.gsd_m, 1) for scene in scenes})
+    resolution = " and ".join(f"{each:g}" for each in gsds_cm)
     tilts = [math.degrees(scene.camera.tilt_rad) for scene in scenes]
     suns = [math.degrees(scene.sun.elevation_rad) for scene in scenes]
     return (
-        f"Scope: ground like {_ground(results)}, {_resolution(scenes)} cm a pixel, the camera "
+        f"Scope: ground like {ground}, {resolution} cm a pixel, the camera "
         f"up to {max(tilts):.0f}° off the vertical, the sun {min(suns):.0f}° to {max(suns):.0f}° "
         f"high, {' and '.join(weather)} weather, vehicles of the kinds {', '.join(kinds)}, and "
         "these attacks. Another attack needs another test."
     )
-
-
-def _ground(results: Results) -> str:
-    drawn = results.sources in (["procedural"], [])
-    return "the procedural one" if drawn else ", ".join(results.sources[:3])
-
-
-def _resolution(scenes: Sequence[Scene]) -> str:
-    found = sorted({round(100 * scene.camera.gsd_m, 1) for scene in scenes})
-    return " and ".join(f"{each:g}" for each in found)
 
 
 def _digest(path: Path) -> str:

@@ -13,7 +13,6 @@ from skyproof.layout import CLEARING_RECORD, Layout
 from skyproof.ranges import Fraction
 from skyproof.results.baseline import Baseline
 from skyproof.results.findings import findings, verdict
-from skyproof.results.precheck import read_prechecks
 from skyproof.results.results import Results
 from skyproof.words import detector_name, interval, listed, percent
 
@@ -85,12 +84,11 @@ def real_data(results: Results) -> RealData:
         StoredFileError: the record of the removed vehicles is damaged.
     """
     real = [one for one in baseline_sets(results) if one.real]
-    layout = Layout(results.folder)
     cut = bool(results.rows) and results.sources not in ([], ["procedural"])
     return RealData(
         _scores(real, results.all_detectors),
         _weak(real, results.all_detectors),
-        _removed(layout) if cut else "",
+        _removed(results) if cut else "",
     )
 
 
@@ -111,9 +109,9 @@ class _Clearing(Struct, frozen=True):
     checked_by: _Checker | str = ""
 
 
-def _removed(layout: Layout) -> str:
+def _removed(results: Results) -> str:
     """Says whether the vehicles in the photographs were removed."""
-    path = layout.backgrounds / CLEARING_RECORD
+    path = Layout(results.folder).backgrounds / CLEARING_RECORD
     if not path.is_file():
         return (
             "Vehicles in the photographs were not removed by skyproof. Any that remain count as "
@@ -130,8 +128,8 @@ def _removed(layout: Layout) -> str:
         return removed
     # A finder is named by its folder, then by its weights in brackets.
     checker = Path(record.checked_by.name.partition(" (")[0]).name
-    checked = read_prechecks(layout.detectors)
-    if checker not in checked or verdict(findings(checked[checker])) != "failed":
+    precheck = results.prechecks.get(checker)
+    if precheck is None or verdict(findings(precheck)) != "failed":
         return removed
     return (
         f"{removed} {detector_name(checker)} searched for remaining vehicles, but it failed its "

@@ -9,10 +9,8 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.layout import Layout
 from skyproof.results.conditions import Bin, Panel
 from skyproof.results.findings import findings
-from skyproof.results.precheck import read_prechecks
 from skyproof.results.result import Result
 from skyproof.results.results import Results
-from skyproof.scenes.scene import read_scenes
 
 _STRONGEST = 2
 # Kinds of change in a precheck that are paints.
@@ -56,8 +54,8 @@ def hardening(
     sure = [row for row in every if row.easr.low > 0]
     known = [row for row in sure if _folder(results, row.camouflage) is not None]
     ranked = sorted(known, key=lambda row: -row.easr.estimate)[:_STRONGEST]
-    needed = (layout.backgrounds / "index.json", fleet, layout.scenes("test"))
-    if not ranked or not all(place.exists() for place in needed):
+    needed = (layout.backgrounds / "index.json", fleet)
+    if not ranked or not results.test_scenes or not all(place.exists() for place in needed):
         return None
     names = [shlex.quote(str(_folder(results, row.camouflage))) for row in ranked]
     shown = " and ".join(str(row.camouflage) for row in ranked)
@@ -74,7 +72,7 @@ def hardening(
                     f"{row.camouflage} hides most at {panel.title.lower()} "
                     f"{_told(extremes[0])}: include such views."
                 )
-    size_px = read_scenes(layout.scenes("test"))[0].camera.size_px
+    size_px = results.test_scenes[0].camera.size_px
     paints = _fails_at_paints(results)
     attack = "--backgrounds backgrounds --fleet fleets/attack"
     commands = [
@@ -95,12 +93,12 @@ def hardening(
 
 def _fails_at_paints(results: Results) -> bool:
     """Whether a detector failed its precheck at paints or random patterns."""
-    records = read_prechecks(Layout(results.folder).detectors)
-    found = [
-        each for name in results.detectors if name in records for each in findings(records[name])
-    ]
-    failed = [each for each in found if each.outcome == "failed" and each.rates]
-    return any(each.rates[0].kind in _PAINTS for each in failed)
+    records = [record for name, record in results.prechecks.items() if name in results.detectors]
+    found = [each for record in records for each in findings(record)]
+    return any(
+        each.outcome == "failed" and bool(each.rates) and each.rates[0].kind in _PAINTS
+        for each in found
+    )
 
 
 def readings(panels: Sequence[Panel]) -> list[str]:

@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from skyproof.layout import Layout
 from skyproof.results.findings import (
     Finding,
     FindingOutcome,
@@ -11,9 +10,9 @@ from skyproof.results.findings import (
     misfit_thresholds,
     worst,
 )
-from skyproof.results.precheck import Kind, MeasuredOn, Rate, read_prechecks
+from skyproof.results.precheck import Kind, MeasuredOn, Rate
 from skyproof.results.results import Results
-from skyproof.scenes.scene import read_scenes, scenes_digest
+from skyproof.scenes.scene import scenes_digest
 from skyproof.words import detector_name
 
 _STRIPS: dict[Kind, str] = {"paint_body": "body panels", "paint_whole": "whole vehicle"}
@@ -72,7 +71,7 @@ def precheck_part(results: Results) -> PrecheckPart:
     Raises:
         StoredFileError: a `precheck.json`, or the file of the test scenes, is damaged.
     """
-    records = read_prechecks(Layout(results.folder).detectors)
+    records = results.prechecks
     found = {name: findings(records[name]) for name in results.detectors if name in records}
     states = [_state(name, found.get(name)) for name in results.detectors]
     notes = _elsewhere({name: records[name].measured_on for name in found}, results)
@@ -107,10 +106,9 @@ def _state(name: str, found: Sequence[Finding] | None) -> PrecheckState:
 
 def _elsewhere(measured: Mapping[str, MeasuredOn], results: Results) -> list[str]:
     """Names the detectors whose precheck was made on other scenes."""
-    place = Layout(results.folder).scenes("test")
-    if not measured or not place.exists():
+    scenes = results.test_scenes
+    if not scenes:
         return []
-    scenes = read_scenes(place)
     others: dict[tuple[int, str], list[str]] = {}
     for name, on in measured.items():
         if on.scenes_sha256 != scenes_digest(scenes[: on.scenes]):

@@ -17,6 +17,7 @@ from skyproof.results.baseline import Baseline
 from skyproof.results.merge import merge_scores
 from skyproof.results.pairs.counts import OutcomeCounts, Series
 from skyproof.results.pairs.outcomes import Outcome, read_outcomes
+from skyproof.results.precheck import PrecheckRecord, read_prechecks
 from skyproof.results.repeats import repeat_of
 from skyproof.results.result import LENIENT_MATCH, MAIN_MATCH, MEAN, Result
 from skyproof.results.rows_file import flat_row
@@ -37,6 +38,7 @@ from skyproof.results.stored import (
     read_timings,
 )
 from skyproof.results.summary import summarise
+from skyproof.scenes.scene import Scene, read_scenes
 from skyproof.seeds import numpy_generator
 
 RENDERER = "torch"
@@ -160,6 +162,17 @@ class Results:
         tiles = read_sources(index) if index.exists() else []
         recorded = [source for score in self.scores for source in score.record.sources]
         return [source for source in dict.fromkeys([*tiles, *recorded]) if source]
+
+    @cached_property
+    def prechecks(self) -> dict[str, PrecheckRecord]:
+        """Prechecks of the run's detectors by name."""
+        return read_prechecks(Layout(self.folder).detectors)
+
+    @cached_property
+    def test_scenes(self) -> list[Scene]:
+        """Scenes of the test; empty if their file is missing."""
+        place = Layout(self.folder).scenes("test")
+        return read_scenes(place) if place.exists() else []
 
     @cached_property
     def sample(self) -> Sample:

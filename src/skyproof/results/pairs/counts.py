@@ -4,7 +4,7 @@ import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -46,7 +46,12 @@ class OutcomeCounts:
     cells: tuple[Cell, ...]
     series: Mapping[Series, Int[np.ndarray, "N 4"]]
 
-    def of(self, renderer: str, match: str) -> Self:
+    @property
+    def tiles(self) -> int:
+        """Number of background tiles."""
+        return len({tile for tile, _ in self.cells})
+
+    def of(self, renderer: str, match: str) -> "OutcomeCounts":
         """Gives the series of one renderer and match rule, on the cells that they show."""
         series = {
             key: counts

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
 
 import numpy as np
 from jaxtyping import Float, Int, Num
@@ -34,7 +33,7 @@ class Sample:
         *,
         generator: np.random.Generator,
         replicates: int = REPLICATES,
-    ) -> Self:
+    ) -> "Sample":
         """Makes the sample of cells (tile, vehicle), and resamples its tiles."""
         tiles = np.array([tile for tile, _ in cells], dtype=object)
         vehicles = np.array([vehicle for _, vehicle in cells], dtype=object)
