@@ -13,7 +13,7 @@ from scipy import optimize, special
 
 from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
 from skyproof.results.statistics.intervals import resample
-from skyproof.results.statistics.repeats import DRAWS, SEEDS, TRAININGS, Kind, Repeat
+from skyproof.results.statistics.repeats import DRAWS, SEEDS, TRAININGS, Repeat, RepeatKind
 from skyproof.results.statistics.sample import Sample
 
 REPLICATES = 400
@@ -38,7 +38,7 @@ class Side:
     rate: float
     repeats: int = 1
     repeat_sd: float = 0.0
-    kind: Kind = SEEDS
+    kind: RepeatKind = SEEDS
     detectors: int = 1
     trainings: int = 1
     training_sd: float = 0.0

@@ -61,13 +61,13 @@ class Acceptance:
     validity: str
 
 
-class _Verdict(Struct, frozen=True):
+class _StoredVerdict(Struct, frozen=True):
     requirement: Requirement
 
 
 def read_requirement(path: Path) -> Requirement | None:
     """Reads the requirement of an earlier report; None without one."""
-    return read_document(path, _Verdict, _REMEDY).requirement if path.exists() else None
+    return read_document(path, _StoredVerdict, _REMEDY).requirement if path.exists() else None
 
 
 def rule(results: Results, requirement: Requirement, alarms: Sequence[str] = ()) -> Acceptance:

@@ -21,7 +21,7 @@ _FEW_FOUND = 0.8
 
 
 @dataclass(frozen=True)
-class BaselineSet:
+class BaselineRow:
     """One set of images without camouflage.
 
     Attributes:
@@ -52,14 +52,14 @@ class RealData:
     removed: str
 
 
-def baseline_sets(results: Results) -> list[BaselineSet]:
+def baseline_sets(results: Results) -> list[BaselineRow]:
     """Lists the image sets of the baseline, rendered ones first, entries by detector."""
     sets = []
     for name in dict.fromkeys(one.dataset for one in results.baselines):
         by_detector = {one.detector: one for one in results.baselines if one.dataset == name}
         some = next(iter(by_detector.values()))
         baselines = [by_detector.get(detector) for detector in results.all_detectors]
-        sets.append(BaselineSet(name, some.real, _contents(some), baselines))
+        sets.append(BaselineRow(name, some.real, _contents(some), baselines))
     return sorted(sets, key=lambda one: one.real)
 
 
@@ -137,7 +137,7 @@ def _removed(results: Results) -> str:
     )
 
 
-def _scores(sets: Sequence[BaselineSet], detectors: Sequence[str]) -> str:
+def _scores(sets: Sequence[BaselineRow], detectors: Sequence[str]) -> str:
     """Writes "an AP of 21 % (RetinaNet, 15 to 30 %) and … on KIT" for every set."""
     if not sets:
         return ""
@@ -153,7 +153,7 @@ def _scores(sets: Sequence[BaselineSet], detectors: Sequence[str]) -> str:
     return listed(parts)
 
 
-def _weak(sets: Sequence[BaselineSet], detectors: Sequence[str]) -> str:
+def _weak(sets: Sequence[BaselineRow], detectors: Sequence[str]) -> str:
     """Says which detectors stay below `_FEW_FOUND` on a real set."""
     weak = [
         name

@@ -7,7 +7,7 @@ from typing import Literal
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.report.acceptance import Acceptance, Ruling
-from skyproof.report.baseline import BaselineSet
+from skyproof.report.baseline import BaselineRow
 from skyproof.report.precheck import PrecheckPart
 from skyproof.results.result import MEAN, Result
 from skyproof.results.statistics.intervals import Interval
@@ -36,7 +36,7 @@ def opening(
     every: Sequence[Result],
     acceptance: Acceptance | None,
     precheck: PrecheckPart,
-    baselines: Sequence[BaselineSet],
+    baselines: Sequence[BaselineRow],
     *,
     hardened: bool,
 ) -> Opening:
@@ -93,7 +93,7 @@ def _ruled(ruling: Ruling, steps: Sequence[str]) -> Opening:
     )
 
 
-def _baseline(baselines: Sequence[BaselineSet], steps: Sequence[str]) -> Opening:
+def _baseline(baselines: Sequence[BaselineRow], steps: Sequence[str]) -> Opening:
     """No camouflage was scored: the lowest baseline is the figure."""
     known = [
         (one.ap_centre_1m, one.detector, each.name)
@@ -118,7 +118,7 @@ def _next_steps(
     every: Sequence[Result],
     acceptance: Acceptance | None,
     precheck: PrecheckPart,
-    baselines: Sequence[BaselineSet],
+    baselines: Sequence[BaselineRow],
     hardened: bool,
 ) -> list[str]:
     steps = []

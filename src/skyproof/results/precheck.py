@@ -152,7 +152,7 @@ def read_precheck(folder: Path) -> PrecheckRecord:
         StoredFileError: the file is missing, damaged or of another version.
     """
     path = Path(folder) / PRECHECK_FILE
-    stored: _Document = read_document(path, _Document, _REMEDY, version=_FORMAT)
+    stored: _PrecheckDocument = read_document(path, _PrecheckDocument, _REMEDY, version=_FORMAT)
     for row in stored.rates:
         form = _PAINTS.get(row.kind)
         if form is not None and not form.fullmatch(row.name):
@@ -191,7 +191,7 @@ _BaselineRow: Any = row_form(Baseline)
 _RateRow: Any = row_form(Rate)
 
 
-class _Document(Struct, frozen=True):
+class _PrecheckDocument(Struct, frozen=True):
     """The form of `precheck.json`, beside its format."""
 
     detector: Name

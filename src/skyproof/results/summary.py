@@ -114,7 +114,7 @@ class _Table:
         totals = group.counts.sum(axis=1)
         of_repeats = overall_attack_success_rate(totals).reshape(len(members), -1).mean(axis=1)
         several = len(of_repeats) > 1
-        beside = _Beside(self, members, detectors, group)
+        beside = _Contrasts(self, members, detectors, group)
         ap, alarms = "average_precision", "false_alarms_per_km2"
         ap_original = self._mean([ORIGINAL], detectors, ap)
         ap_adversarial = self._mean(members, detectors, ap)
@@ -172,7 +172,7 @@ class _Table:
 
 
 @dataclass(frozen=True)
-class _Beside:
+class _Contrasts:
     """One camouflage, to be set beside its controls."""
 
     table: _Table

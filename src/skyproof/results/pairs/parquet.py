@@ -47,7 +47,7 @@ def read_table(
         for name in wanted:
             _check(table[name], hints.get(name), name in undefined)
         return table.cast(pa.schema([schema.field(name) for name in wanted]))
-    except _Unfit as unfit:
+    except _UnfitTable as unfit:
         said = str(unfit)
     except msgspec.ValidationError as error:
         reason = str(error).partition(" - at ")[0]
@@ -58,7 +58,7 @@ def read_table(
     raise StoredFileError(f"{path} {said.rstrip('.')}; {REMEDY}.")
 
 
-class _Unfit(Exception):
+class _UnfitTable(Exception):
     """What is wrong with a table."""
 
 
@@ -68,12 +68,12 @@ def _read(path: Path, schema: pa.Schema, columns: list[str]) -> pa.Table:
     stored = metadata.schema.to_arrow_schema()
     if not stored.equals(schema):
         differing = ", ".join(sorted(set(schema.names) ^ set(stored.names))) or "their types"
-        raise _Unfit(f"has other columns than this version writes ({differing[:200]})")
+        raise _UnfitTable(f"has other columns than this version writes ({differing[:200]})")
     size = sum(
         metadata.row_group(group).total_byte_size for group in range(metadata.num_row_groups)
     )
     if metadata.num_rows > _MOST_ROWS or size > _LARGEST_BYTES:
-        raise _Unfit(f"has {metadata.num_rows:,} rows, more than are read ({_MOST_ROWS:,})")
+        raise _UnfitTable(f"has {metadata.num_rows:,} rows, more than are read ({_MOST_ROWS:,})")
     texts = [field.name for field in schema if field.type == pa.string()]
     with pq.ParquetFile(path, read_dictionary=texts) as file:
         return file.read(columns=columns)
@@ -81,7 +81,7 @@ def _read(path: Path, schema: pa.Schema, columns: list[str]) -> pa.Table:
 
 def _check(column: pa.ChunkedArray, hint: Any, may_be_undefined: bool) -> None:
     if column.null_count:
-        raise _Unfit("has empty cells")
+        raise _UnfitTable("has empty cells")
     if hint is None or not len(column):
         return
     if pa.types.is_dictionary(column.type):
@@ -93,6 +93,6 @@ def _check(column: pa.ChunkedArray, hint: Any, may_be_undefined: bool) -> None:
         if not len(column):
             return
         if pc.any(pc.is_nan(column)).as_py():
-            raise _Unfit("holds numbers that are not finite")
+            raise _UnfitTable("holds numbers that are not finite")
     ends = pc.min_max(column).as_py()
     msgspec.convert([ends["min"], ends["max"]], list[hint])

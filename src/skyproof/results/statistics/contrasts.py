@@ -26,7 +26,7 @@ from skyproof.results.statistics.rates import overall_attack_success_rate
 from skyproof.results.statistics.repeats import Repeat, spread_of_repeats
 from skyproof.results.statistics.sample import Sample
 
-Rate = Callable[[np.ndarray], np.ndarray]
+RateFunction = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Group:
     def _easr(self) -> _Values:
         return _Values.of(self, overall_attack_success_rate)
 
-    def values(self, rate: Rate = overall_attack_success_rate) -> _Values:
+    def values(self, rate: RateFunction = overall_attack_success_rate) -> _Values:
         """Gives a rate of every series; that of EASR is kept, as it stands in many contrasts."""
         return self._easr if rate is overall_attack_success_rate else _Values.of(self, rate)
 
@@ -70,7 +70,7 @@ class Group:
 def mean_interval(
     group: Group,
     *,
-    rate: Rate = overall_attack_success_rate,
+    rate: RateFunction = overall_attack_success_rate,
     limits: tuple[float, float] = (-math.inf, 1.0),
 ) -> Interval:
     """Gives the interval of a rate's mean over series, no surer than they are.
@@ -137,7 +137,7 @@ class _Values:
     """Number of tiles, or vehicles where these are fewer, on which each series is defined."""
 
     @classmethod
-    def of(cls, group: Group, rate: Rate) -> _Values:
+    def of(cls, group: Group, rate: RateFunction) -> _Values:
         counts, sample = group.counts, group.sample
         tiles, vehicles = sample.by_tile(counts), sample.by_vehicle(counts)
         total = tiles.sum(axis=1)

@@ -12,7 +12,7 @@ _TAIL = 0.025
 
 
 @dataclass(frozen=True)
-class Kind:
+class RepeatKind:
     """A kind of repeat.
 
     Attributes:
@@ -26,17 +26,17 @@ class Kind:
     paired_sd: float
 
 
-SEEDS = Kind("seeds", 0.07, 0.07)
+SEEDS = RepeatKind("seeds", 0.07, 0.07)
 """Seeds of an attack. Three seeds each had a standard deviation of 0.11 for S-O, and of 0.01 at
 most for textures (quick preset of 2026-11-21). With 0.05 three simulated seeds of standard
 deviation 0.1 held the truth in 92 % of runs at worst, with 0.07 in 96 %."""
 
-DRAWS = Kind("draws", 0.5, SEEDS.usual_sd)
+DRAWS = RepeatKind("draws", 0.5, SEEDS.usual_sd)
 """Draws of a random control: the largest standard deviation of a rate between 0 and 1. Controls of
 few colours come near it: three draws of R-Lc hid 5, 27 and 91 %, R-PixLc −1, 35 and 92 %. A draw
 acts much alike under two renderers, so their differences have the standard deviation of seeds."""
 
-TRAININGS = Kind("trainings", 0.1, 0.1)
+TRAININGS = RepeatKind("trainings", 0.1, 0.1)
 """Trainings of the detectors, each with attacks from another seed. Measured were 0.002 to 0.11
 for means over three detectors, and up to 0.19 for a single one (docs/results/trainings). Three
 simulated trainings of standard deviation 0.15 held the truth in 93 % of runs at worst, with 0.07 in
@@ -56,7 +56,7 @@ class Repeat:
 
     of: str
     number: str
-    kind: Kind
+    kind: RepeatKind
 
 
 @dataclass(frozen=True)
