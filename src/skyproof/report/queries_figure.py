@@ -62,7 +62,7 @@ def queries_figure(curves: Sequence[QueryCurve]) -> str:
             axes.grid(color="#e3e7eb")
         for axes in list(grid.flat)[len(names) :]:
             axes.set_visible(False)
-        figure.supxlabel("queries (images)", fontsize=11)
+        figure.supxlabel("images shown to the detector", fontsize=11)
         figure.supylabel("% hidden", fontsize=11)
         handles, labels = grid[0, 0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper center", ncols=2, fontsize=10)
