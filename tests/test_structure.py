@@ -280,9 +280,11 @@ def test_a_module_beyond_400_lines_has_a_second_subject():
     } == {}
 
 
-def test_the_product_keeps_to_its_budget_of_lines():
-    outside = {m: t for m, t in sources().items() if m.split(".")[0] not in ROOMS_OF_THEIR_OWN}
-    assert sum(text.count("\n") for text in outside.values()) <= 40_000
+def test_the_source_keeps_to_its_budget_of_lines():
+    lines = {module: text.count("\n") for module, text in sources().items()}
+    own = sum(n for module, n in lines.items() if module.split(".")[0] in ROOMS_OF_THEIR_OWN)
+    assert sum(lines.values()) <= 48_000
+    assert sum(lines.values()) - own <= 40_000
 
 
 def test_these_rules_can_fail():

@@ -410,7 +410,7 @@ class Breaking(StandIn):
     ("first_bad", "what", "said"),
     [
         (1, "loss", "loss of the detector breaking is nan"),
-        (7, "loss", r"is nan at step 5; .*--settings\.learning-rate"),
+        (7, "loss", "is nan at step 5; attack again in another folder"),
         (8, "gradient", "What step 6 left .* begin again in another folder"),
     ],
 )

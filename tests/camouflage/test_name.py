@@ -202,7 +202,7 @@ def test_a_combination_has_its_own_texture_under_random_shapes():
     assert str(controls(CamouflageName.parse("C-Fc-par@0.2-1")).random_shape) == "R-C-Fc-par@0.2"
     assert controls(CamouflageName.parse("T-Fc")).random_shape is None
     assert controls(CamouflageName.parse("R-C-Fc-seq@0.2")).random_shape is None
-    with pytest.raises(ConfigurationError, match=r"only R-C-Fc@0.2_best is chosen"):
+    with pytest.raises(ConfigurationError, match=r"give R-C-Fc@0.2_best"):
         CamouflageName.parse("R-C-Fc-seq@0.2_best")
 
 
