@@ -2,6 +2,7 @@
 
 import ast
 import re
+from collections import Counter
 from functools import cache
 from pathlib import Path
 
@@ -278,6 +279,16 @@ def test_a_module_beyond_400_lines_has_a_second_subject():
     assert {
         module: text.count("\n") for module, text in sources().items() if text.count("\n") > 400
     } == {}
+
+
+def test_a_class_name_stands_for_one_class():
+    names = Counter(
+        node.name
+        for text in sources().values()
+        for node in ast.parse(text).body
+        if isinstance(node, ast.ClassDef)
+    )
+    assert [name for name, count in names.items() if count > 1] == []
 
 
 def test_the_source_keeps_to_its_budget_of_lines():

@@ -23,7 +23,7 @@ _ROWS = "steps.jsonl"
 
 
 @runtime_checkable
-class Part(Protocol):
+class LoopPart(Protocol):
     """An object that changes from step to step: a module, an optimiser, a schedule."""
 
     def state_dict(self) -> dict[str, Any]:
@@ -63,7 +63,7 @@ class Loop:
     identity: Mapping[str, Any]
     steps: int
     checkpoint_every: int
-    parts: Mapping[str, Part]
+    parts: Mapping[str, LoopPart]
     other: str
     remedy: str
     on_row: Callable[[dict[str, Any]], None] | None = None

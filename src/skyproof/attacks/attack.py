@@ -38,7 +38,7 @@ from skyproof.detectors.inference import device_of
 from skyproof.detectors.weights import weights_digest
 from skyproof.errors import ConfigurationError, NotFiniteError
 from skyproof.files import alone, write_beside
-from skyproof.loop import Loop, Part, refuse_other
+from skyproof.loop import Loop, LoopPart, refuse_other
 from skyproof.storage import tensors_digest
 
 _CONVERGED = 0.02
@@ -100,7 +100,7 @@ def attack(
     }
     if (folder / "camouflage.json").exists():
         return _finished(camouflage, folder, identity)
-    parts: dict[str, Part] = {"camouflage": camouflage}
+    parts: dict[str, LoopPart] = {"camouflage": camouflage}
     optimiser = None
     if camouflage.name.choice == "search":
         held_out = None

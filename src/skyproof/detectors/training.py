@@ -24,7 +24,7 @@ from skyproof.detectors.threshold import check_validation, validate
 from skyproof.detectors.weights import plain_state
 from skyproof.errors import ConfigurationError, NotFiniteError
 from skyproof.files import alone
-from skyproof.loop import Loop, Part, refuse_other
+from skyproof.loop import Loop, LoopPart, refuse_other
 
 _Tensors = tuple[Tensor, ...] | list[Tensor]
 
@@ -87,7 +87,7 @@ def train(
     optimiser = _optimiser(detector, settings)
     schedule = LambdaLR(optimiser, lambda step: _learning_rate(step, settings))
     best = _Best()
-    parts: dict[str, Part] = {
+    parts: dict[str, LoopPart] = {
         "detector": detector,
         "averaged": averaged,
         "optimiser": optimiser,

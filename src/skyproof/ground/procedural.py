@@ -34,7 +34,7 @@ GROUND_KINDS: dict[str, tuple[Callable[[Canvas], None], float]] = {
 
 
 @dataclass(frozen=True)
-class Ground:
+class DrawnGround:
     """A drawn tile `[3, H, W]` with its light and sensor, and maps as in `BackgroundTile`."""
 
     image: UInt8[Tensor, "3 H W"]
@@ -46,7 +46,7 @@ class Ground:
     cover: UInt8[np.ndarray, "H W"]
 
 
-def draw_ground(size_px: int, gsd_m: float, *, generator: torch.Generator) -> Ground:
+def draw_ground(size_px: int, gsd_m: float, *, generator: torch.Generator) -> DrawnGround:
     """Draws a tile of a random kind, `[3, size_px, size_px]`, with one draw of the generator.
 
     Everything is drawn as reflectance and height. One sun lights it, shadows follow from the
@@ -61,7 +61,7 @@ def draw_ground(size_px: int, gsd_m: float, *, generator: torch.Generator) -> Gr
     canvas.mute(rng.uniform(0.35, 1.0))
     camera = GroundSensor.draw(rng)
     picture = photograph(canvas, camera)
-    return Ground(
+    return DrawnGround(
         torch.from_numpy(picture.image),
         kind,
         picture.light,

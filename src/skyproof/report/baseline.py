@@ -102,7 +102,7 @@ class _Checker(Struct, frozen=True):
     name: str
 
 
-class _Clearing(Struct, frozen=True):
+class _ClearedGround(Struct, frozen=True):
     """The part of a clearing record that the report reads."""
 
     totals: _Removed
@@ -117,7 +117,7 @@ def _removed(results: Results) -> str:
             "Vehicles in the photographs were not removed by skyproof. Any that remain count as "
             "ground in training tiles and as false alarms in test tiles."
         )
-    record: _Clearing = read_document(path, _Clearing, "clear the ground again")
+    record: _ClearedGround = read_document(path, _ClearedGround, "clear the ground again")
     totals = record.totals
     count = totals.labelled_removed + totals.detected_removed
     removed = (
