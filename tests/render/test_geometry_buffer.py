@@ -72,7 +72,7 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     genuine = module.see_bodies
 
     def see(*arguments: object) -> object:
-        looked.append(len(arguments[1]))
+        looked.append(len(arguments[1].scene))
         return genuine(*arguments)
 
     monkeypatch.setattr(module, "see_bodies", see)

@@ -29,7 +29,7 @@ def test_size_is_as_drawn_and_in_range(body_type: str) -> None:
         low, high = body.vertices.amin(0), body.vertices.amax(0)
         size = (high - low).tolist()
         for value, name in zip(size, ("length", "width", "height"), strict=True):
-            smallest, largest = getattr(ranges, name)
+            smallest, largest = ranges[name]
             assert smallest - 1e-4 <= value <= largest + 1e-4
             assert value == pytest.approx(getattr(body.dimensions, name), abs=1e-4)
         assert abs(float(low[2])) < 1e-6
