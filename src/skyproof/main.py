@@ -37,7 +37,7 @@ COMMANDS: dict[str, dict[str, str]] = {
         "import": "skyproof.cli.import_detector:Import",
         "precheck": "skyproof.cli.precheck:Precheck",
     },
-    "Camouflage and judgement": {
+    "Attacks and scores": {
         "attack": "skyproof.cli.attack:Attack",
         "score": "skyproof.cli.score:Score",
     },
