@@ -54,7 +54,7 @@ def test_the_page_fits_and_its_pictures_show(page: Any) -> None:
     assert len(pictures) >= 4
     assert all(width > 0 and alt for width, alt in pictures)
     headings = page.locator("h2").all_inner_texts()
-    order = ["What each attack", "What it looks like", "Success by", "What it means", "Limits"]
+    order = ["What each attack", "What it means", "Limits", "What it looks like", "Success by"]
     places = [next(i for i, h in enumerate(headings) if h.startswith(part)) for part in order]
     assert places == sorted(places)
 

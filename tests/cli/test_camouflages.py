@@ -195,7 +195,7 @@ def test_palettes_that_cannot_work(attack, tmp_path: Path) -> None:
 def test_what_is_missing_is_asked_for(finished: Path, tmp_path: Path, skyproof: Skyproof) -> None:
     out = tmp_path / "made"
     skyproof("attack", "R-Fc", "--out", out).refused("--palette or --backgrounds")
-    skyproof("attack", "T-U", "--out", out).refused("T-U is learnt", "--detectors", "--fleet")
+    skyproof("attack", "T-U", "--out", out).refused("T-U needs", "--detectors", "--fleet")
     skyproof("attack", "R-U_plain", "--out", out).refused("R-U_plain", "--detectors", "--fleet")
     # Everything is read before anything is made.
     skyproof("attack", "R-U", "T-LcFc", "--out", out).refused("Lc and Fc exclude each other")
