@@ -22,3 +22,12 @@ def expert_options() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(main, "_parse", parse_all)
         yield
+
+
+PROGRAM = (
+    "from skyproof.main import main\n"
+    "from tests.expert_options import expert_options\n"
+    "with expert_options():\n"
+    "    main()\n"
+)
+"""What a process of its own runs instead of `-m skyproof`; the checkout is on its path."""

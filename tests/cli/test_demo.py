@@ -283,5 +283,5 @@ def test_the_report_says_that_they_were_checked_before(demo: Path) -> None:
         "procedural ground, not on the scenes of this run."
     )
     assert page.count(told) == 1
-    assert "is the detector worth attacking?" in page
+    assert "are the detectors worth attacking?" in page
     assert ": no precheck" not in page

@@ -101,7 +101,7 @@ def test_fleets_without_other_paints_are_drawn_with_a_note(tmp_path, skyproof: S
     counts = ("--counts", 1, 1, 1, 1)
     answer = skyproof("vehicles", "--out", tmp_path / "plain", *counts, *none)
     assert answer.code == 0
-    assert "catalogue paints alone" in answer.out
+    assert "catalogue paints only" in answer.out
     assert "catalogue" not in skyproof("vehicles", "--out", tmp_path / "varied", *counts).out
     skyproof("vehicles", "--out", tmp_path / "much", "--paints.plain", 0.9).refused(
         "at most 1, got 1.35"

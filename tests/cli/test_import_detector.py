@@ -14,6 +14,7 @@ from torchvision.models.detection import fasterrcnn_mobilenet_v3_large_fpn
 
 from skyproof.datasets.coco import Annotation, CocoWriter
 from skyproof.detectors.card import read_card
+from skyproof.words import detector_name
 from tests.cli.conftest import Skyproof
 
 CPU = ["--device", "cpu"]
@@ -159,7 +160,7 @@ def test_training_on_real_tiles(detector: str, tmp_path: Path, skyproof: Skyproo
     )
     assert answer.code == 0, answer.err
     card = read_card(tmp_path / "out")
-    assert f"Warning: {detector} reaches a validation AP of" in answer.out
+    assert f"Warning: {detector_name(detector)} reaches a validation AP of" in answer.out
     assert f"chosen on {card.validation_vehicles} vehicles" in answer.out
     assert card.trained_on == "train: tiles of real imagery (city_0.tif, city_1.tif)"
     assert card.image_size_px == (384, 384)

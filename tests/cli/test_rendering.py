@@ -16,8 +16,10 @@ from skyproof.cycles import blender as blender_module
 from skyproof.cycles.blender import find_blender
 from skyproof.errors import ConfigurationError
 from tests.cli.conftest import Skyproof, bytes_of
+from tests.expert_options import PROGRAM
 
 CPU = ["--device", "cpu"]
+ROOT = Path(__file__).parents[2]
 CYCLES = ["--renderer", "cycles", "--cycles.samples", 1]
 
 
@@ -170,8 +172,8 @@ def test_killed_in_the_middle(
         *("--blender", str(listener), "--workers", "1"),
     ]
     first = subprocess.Popen(
-        [sys.executable, "-m", "skyproof", *call],
-        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        [sys.executable, "-c", PROGRAM, *call],
+        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)},
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )

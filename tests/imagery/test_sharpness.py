@@ -59,6 +59,7 @@ def test_soft_edges_beside_sharp_ones_do_not_count():
 @pytest.mark.parametrize("images", [[], [torch.full((3, 100, 100), 90, dtype=torch.uint8)]])
 def test_ground_without_edges_is_one_sentence(images):
     with pytest.raises(
-        ImageryError, match="expects at least 100 clear edges but found 0; give sharper or larger images"
+        ImageryError,
+        match="expects at least 100 clear edges but found 0; give sharper or larger images",
     ):
         measure_sensor(images)

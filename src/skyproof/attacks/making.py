@@ -105,10 +105,10 @@ class Maker:
         Raises:
             RunFolderError: the folder holds a camouflage that was made otherwise.
         """
-        if name.choice in ("plain", "best"):
-            self._choose(name, folder, draws, progress)
-        else:
+        if name.choice in (None, "search"):
             self._optimise(name, folder, texture, progress)
+        else:
+            self._choose(name, folder, draws, progress)
 
     def _choose(
         self, name: CamouflageName, folder: Path, draws: int, progress: Progress | None

@@ -77,10 +77,10 @@ def score(
     count = counter(progress, images + sum(len(each.images) for each in baselines))
     rows: list[Baseline] = []
     outcomes: list[Outcome] = []
+    if stage is not None and unchanged is not None:
+        _refuse_other_rendering(unchanged, scenes, stage)
     with finished_folder(Path(folder)) as partial:
         if stage is not None:
-            if unchanged is not None:
-                _refuse_other_rendering(unchanged, scenes, stage)
             shown = views(detectors, scenes, changes, stage, unchanged=unchanged, progress=count)
             writer = _Writer(partial, detectors, scenes, stage.renderer.name, next(shown))
             rows = writer.baselines(seed)
