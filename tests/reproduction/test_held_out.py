@@ -129,7 +129,7 @@ def test_no_mean_goes_over_two_tables(folder):
     run = Reproduction(Results.open(folder))
     for table, easr in (("first", 40), ("second", 100)):
         rows = [row for row in held_out_rows(run, table) if row["attack"] == "T-U"]
-        assert [row["detector"] for row in rows] == detectors_and_mean(run.judges[table])
+        assert [row["detector"] for row in rows] == detectors_and_mean(run.held_out[table])
         assert [row["easr"] for row in rows] == [pytest.approx(easr)] * 3
     write_reproduction_report(folder)
     page = (folder / "tables" / "README.md").read_text()
@@ -141,7 +141,7 @@ def test_a_table_that_has_judged_nothing_yet_is_left_out(folder):
     add_judges(folder, "real", RATES)
     (folder / "judges" / "new" / "detectors").mkdir(parents=True)
     (folder / "judges" / ".half.partial" / "scores").mkdir(parents=True)
-    assert list(Reproduction(Results.open(folder)).judges) == ["real"]
+    assert list(Reproduction(Results.open(folder)).held_out) == ["real"]
 
 
 def test_shapes_keep_the_magnitude_of_the_run(folder):

@@ -59,7 +59,7 @@ def test_gaps_are_refused():
     assert transfer(ROWS, ATTACKED, base="S-O") == []
     with pytest.raises(ConfigurationError, match="not known which detectors T-U_on_a attacked"):
         transfer(ROWS, {"T-U": ["a", "b"]}, base="T-U")
-    with pytest.raises(ConfigurationError, match="b has not judged T-U_on_a"):
+    with pytest.raises(ConfigurationError, match="b has not scored T-U_on_a"):
         transfer(
             [r for r in ROWS if str(r.camouflage) != "T-U_on_a" or r.detector == "a"],
             ATTACKED,
