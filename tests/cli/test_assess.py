@@ -105,6 +105,7 @@ def test_another_detector_or_seed_is_refused(assessed, skyproof: Skyproof):
         card.write_bytes(whole)
 
 
+@pytest.mark.slow
 def test_a_finished_run_is_asked_for_a_verdict(assessed, tmp_path, skyproof: Skyproof):
     folder = tmp_path / "run"
     shutil.copytree(assessed / "run", folder)

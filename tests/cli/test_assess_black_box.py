@@ -94,6 +94,7 @@ def assessed(server: Server, suite: None, tmp_path_factory: pytest.TempPathFacto
     return folder / "run"
 
 
+@pytest.mark.slow
 def test_a_service_is_assessed_by_its_answers_alone(assessed: Path, server: Server) -> None:
     card = json.loads((assessed / "detectors/service/detector.json").read_text())
     assert card["name"] == "service"
@@ -115,6 +116,7 @@ def test_a_service_is_assessed_by_its_answers_alone(assessed: Path, server: Serv
     assert server.pictures > int((assessed.parent / "asked_before.txt").read_text())
 
 
+@pytest.mark.slow
 def test_the_report_says_that_only_answers_are_known(assessed: Path) -> None:
     page = (assessed / "report.html").read_text()
     assert "This detector is a black box" in page
@@ -122,6 +124,7 @@ def test_the_report_says_that_only_answers_are_known(assessed: Path) -> None:
     assert "Gradient masking: " not in page
 
 
+@pytest.mark.slow
 def test_a_finished_run_asks_nothing(assessed: Path, server: Server) -> None:
     before = server.pictures
 

@@ -49,6 +49,7 @@ def test_every_example_is_known():
     assert {example.stem for example in EXAMPLES} == set(RESULTS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "example",
     [example for example in EXAMPLES if example.stem != NEEDS_A_SERVER],

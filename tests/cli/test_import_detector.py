@@ -30,6 +30,7 @@ def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_an_imported_detector_is_used_like_any_other(
     checkpoint: Path, finished: Path, worn: Path, tmp_path: Path, skyproof: Skyproof
 ) -> None:

@@ -101,6 +101,7 @@ def test_the_version_is_told_once() -> None:
     assert f"## [{skyproof.__version__}]" in (ROOT / "CHANGELOG.md").read_text()
 
 
+@pytest.mark.slow
 def test_an_installed_wheel_runs_the_demo_and_plans_a_reproduction(environment: Path) -> None:
     where = call(environment, "python", "-c", "import skyproof; print(skyproof.__file__)")
     assert Path(where.strip()).is_relative_to(environment)

@@ -364,6 +364,7 @@ def test_how_far_success_moves_to_cycles(folder):
     close(rows["shapes"]["change"], 37.5 - 80)  # S-O@0.2 and S-O@1 were not scored on Cycles
 
 
+@pytest.mark.slow
 def test_one_repeat_of_two_on_cycles(folder):
     write_scores(
         folder / "scores" / "cycles",
@@ -518,6 +519,7 @@ def test_what_was_chosen_and_not_learnt_stands_in_the_tables(folder):
     assert "What a learnt shape adds to the texture under it:" in page
 
 
+@pytest.mark.slow
 def test_what_was_chosen_and_not_learnt_on_cycles(folder):
     add_cycles(folder)
     chosen = {"R-U_plain": 0.125, "R-U_best": 0.25, "R-S-O@0.4_plain": 0.5}

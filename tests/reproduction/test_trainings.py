@@ -16,6 +16,7 @@ from tests.barely_trained import everything_counts
 TINY = json.loads(Path(__file__).with_name("tiny.json").read_text())
 
 
+@pytest.mark.slow
 def test_two_trainings(tmp_path):
     preset = tmp_path / "preset.json"
     steps = {"texture": 1, "shape": 1, "sequential": 1, "parallel": 1}

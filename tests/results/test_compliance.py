@@ -22,6 +22,7 @@ def test_only_right_answers_count_and_tiles_without_a_found_vehicle_tell_nothing
     assert more == pytest.approx(2 * fewer, rel=0.2)
 
 
+@pytest.mark.slow
 def test_as_many_tiles_as_planned_decide():
     requirement = Requirement(0.1, 0.3)
     assumptions = Assumptions(0.8, vehicles_per_tile=6.0, design_effect=1.5)
