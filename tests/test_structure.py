@@ -343,3 +343,5 @@ def test_every_test_runs_in_ci():
     here = (top / ".ci/run").read_text()
     assert re.search(r"\bmake test$", here, re.MULTILINE)
     assert re.search(r"pytest .*-m slow", here)
+    # What one of the two leaves out, the other takes.
+    assert here.count("tests/hostile") == here.count("${TIMED[@]") == 2
