@@ -73,10 +73,8 @@ def make_candidates(
 ) -> list[Camouflage]:
     """Makes the candidates of a chosen control.
 
-    Args:
-        "R-Ma_plain" has 27 plain paints under its mask, "R-S-O@0.4_plain" every vertex out under
-            the vehicle's own paint, "R-C-Ma@0.2_plain" both, "R-PixFc_best" the first draws of
-            R-PixFc.
+    "R-Ma_plain" has 27 plain paints under its mask, "R-S-O@0.4_plain" every vertex out under the
+    vehicle's own paint, "R-C-Ma@0.2_plain" both, "R-PixFc_best" the first draws of R-PixFc.
 
     Raises:
         ConfigurationError: no such control.
