@@ -630,3 +630,8 @@ def test_a_plan_refuses_what_a_later_step_would_refuse():
 
     with pytest.raises(ConfigurationError, match="share expects"):
         Plan([command_step("late", "late", Late(), (), (Path("x"),))])
+
+
+def test_a_config_key_that_no_run_has_is_one_sentence():
+    with pytest.raises(ConfigurationError, match="takes device and blender, got cycles"):
+        plan_of_run(cycles=1)

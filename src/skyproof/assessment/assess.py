@@ -145,7 +145,7 @@ def assess(
 ) -> Path:
     """Tests detectors with the suite of attacks, as `skyproof assess` does, and writes a report.
 
-    Of a callable only the answers are used: attacks are optimised on the reference detectors and
+    Only the answers of a callable are used: attacks are optimised on the reference detectors and
     continued by query attacks. Its threshold is frozen on the labels, or on rendered vehicles
     without any. A stopped run continues when the same call is made again.
 

@@ -63,7 +63,7 @@ def attack(
         detectors = its.references if transfer else its.detectors
         maker = Maker(detectors, its.world, settings, its.device, its.palette(name))
         texture = None if under is None else load_camouflage(under)
-        verb = "choose" if name.choice in ("plain", "best") else "attack"
+        verb = "choose" if name.has_candidates else "attack"
         with progress_bar(f"{verb} {name}") as update:
             maker.make(name, folder, draws=best_of, texture=texture, progress=update)
 

@@ -49,7 +49,7 @@ def write_environment(path: Path, device: str, seed: object) -> None:
 
 
 def note_end(path: Path) -> None:
-    """Adds the end of the run."""
+    """Records when the run ended."""
     noted: dict[str, Any] = read_document(path, dict[str, Any], _REMEDY)
     write_json(path, {**noted, "finished": _now()})
 

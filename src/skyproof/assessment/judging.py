@@ -167,7 +167,7 @@ def report(its: Subject, scores: Sequence[Step], requirement: Requirement | None
 
 
 def _frames(its: Subject) -> tuple[str, ...]:
-    """The labelled test tiles, which froze no threshold."""
+    """The labelled test tiles, on which no threshold was frozen."""
     return (f"{YOURS}={its.layout.tiles / 'test'}@{its.gsd_m}",) if its.labelled else ()
 
 

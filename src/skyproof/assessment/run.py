@@ -35,7 +35,7 @@ SOURCES = "sources_sha256"
 # Weight of the estimates: measured seconds count for more once they exceed this.
 _TRUSTED_S = 60.0
 
-# The place of a computation changes none of its results.
+# Where something is computed does not change its results.
 _PLACE = ("device", "blender", "workers")
 
 
@@ -113,11 +113,14 @@ class Run:
     A run may have other settings as long as its finished steps do not depend on them, so that a
     late mistake can be corrected.
 
-    Args: folder: run folder; made if missing. config: everything that decides the results, as plain
-    JSON values. steps: steps in their order.
+    Args:
+        folder: run folder; made if missing.
+        config: everything that decides the results, as plain JSON values.
+        steps: steps in their order.
 
-    Raises: RunFolderError: the folder holds another run or something else. StoredFileError: a
-    record of the folder is damaged.
+    Raises:
+        RunFolderError: the folder holds another run or something else.
+        StoredFileError: a record of the folder is damaged.
     """
 
     def __init__(self, folder: Path, config: Mapping[str, Any], steps: Sequence[Step]) -> None:

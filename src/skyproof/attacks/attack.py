@@ -154,7 +154,7 @@ _Batch = tuple[Objective, Float[Tensor, "B 3 H W"]]
 
 @dataclass(frozen=True)
 class _Run:
-    """One attack; attributes as of `attack`."""
+    """One attack; attributes as in `attack`."""
 
     camouflage: Camouflage
     detectors: Sequence[TrainableDetector]

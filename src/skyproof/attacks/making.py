@@ -5,6 +5,7 @@ Finished ones are kept, unless they were made with other detectors, scenes or co
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -105,10 +106,10 @@ class Maker:
         Raises:
             RunFolderError: the folder holds a camouflage that was made otherwise.
         """
-        if name.choice in (None, "search"):
-            self._optimise(name, folder, texture, progress)
-        else:
+        if name.has_candidates:
             self._choose(name, folder, draws, progress)
+        else:
+            self._optimise(name, folder, texture, progress)
 
     def _choose(
         self, name: CamouflageName, folder: Path, draws: int, progress: Progress | None
@@ -173,7 +174,7 @@ class Maker:
             on_step=show,
         )
 
-    @property
+    @cached_property
     def _held_out(self) -> held_out.HeldOut:
         batch_size = max(held_out.BATCH_SIZE, self.settings.batch_size)
         return held_out.HeldOut(self.detectors, self.world, self.settings.seed, batch_size)

@@ -91,9 +91,7 @@ def balanced_weights(losses: Mapping[str, Sequence[float]]) -> dict[str, float]:
 
 
 @torch.no_grad()
-def target_scores(
-    detector: Detector | TrainableDetector, frames: Frames, gsd_m: float
-) -> Float[Tensor, " B"]:
+def target_scores(detector: Detector, frames: Frames, gsd_m: float) -> Float[Tensor, " B"]:
     """Gives the highest score of a candidate near the image's one vehicle; 0 without one.
 
     The centre of a near candidate lies within 1 m of the vehicle's. The candidates of a black-box

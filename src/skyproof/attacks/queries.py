@@ -53,7 +53,7 @@ _SHAPE_BANDS = 8
 class CoarseChange:
     """Offsets on bands across the cells of a texture (sRGB), or across the reach of a shape.
 
-    The start is a finished camouflage and is not changed. Of a combination the shape moves.
+    The start is a finished camouflage and is not changed. In a combination, the shape moves.
 
     Raises:
         ConfigurationError: a camouflage of another kind, or of few colours.
@@ -62,7 +62,7 @@ class CoarseChange:
     def __init__(self, start: Camouflage) -> None:
         self._start = start
         moved = _moved(start)
-        # A shape has one value a place.
+        # A shape has one value per place.
         channels, bands = (len(moved), _TEXTURE_BANDS) if moved.ndim == 3 else (1, _SHAPE_BANDS)
         self.shape = (channels, max(1, min(bands, MOST_NUMBERS // channels)))
 

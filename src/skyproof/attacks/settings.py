@@ -63,7 +63,7 @@ class AttackSettings:
             name: attack, or control that is chosen.
             best_of: number of random draws of a best-of-N control.
         """
-        if name.choice in ("plain", "best"):
+        if name.has_candidates:
             candidates = best_of if name.choice == "best" else _PLAIN_PAINTS
             return _WITHOUT_GRADIENT * _CHOICE_SCENES * candidates
         return self.steps * self.batch_size * (_WITHOUT_GRADIENT if name.choice else 1.0)

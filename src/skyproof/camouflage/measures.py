@@ -87,7 +87,7 @@ def measure_shape(before: VehicleBatch, after: VehicleBatch) -> list[dict[str, f
     Returns:
         Per vehicle "volume_m3" before, "added_volume_m3", "largest_displacement_m" of a vertex,
         "added_length_m", "added_width_m", "added_height_m", and "intersections_before" and
-        "intersections_after" as of `self_intersections`.
+        "intersections_after" as counted by `self_intersections`.
     """
     if before.ids != after.ids:
         raise ValueError(

@@ -230,6 +230,11 @@ class CamouflageName:
         return cast(Choice, self.variant) if chosen else None
 
     @property
+    def has_candidates(self) -> bool:
+        """Whether it is a control that is chosen from others: a plain paint, or the best of N."""
+        return self.choice not in (None, "search")
+
+    @property
     def takes_palette(self) -> bool:
         """Whether its colours come from a palette (Fc), or are optimised from there (Lc, Pix).
 

@@ -1,4 +1,4 @@
-"""Paints that nobody learnt: one colour on body panels or on everything, or two tones."""
+"""Paints without optimisation: one colour on body panels or on everything, or two tones."""
 
 import itertools
 

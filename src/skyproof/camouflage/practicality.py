@@ -49,7 +49,7 @@ def practicality_account(camouflage: Camouflage, vehicles: VehicleBatch) -> dict
     """Signs and measured quantities of a finished camouflage, means over the vehicles.
 
     Returns:
-        "name"; "score" as of `score_practicality`; "texture" and "shape" with the means of
+        "name"; "score" as returned by `score_practicality`; "texture" and "shape" with the means of
         `measure_texture` and `measure_shape`, None for an unchanged side. The shape's
         "share_self_intersecting" is the share of vehicles with more intersections than as built.
     """

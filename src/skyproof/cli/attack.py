@@ -166,7 +166,7 @@ class Attack:
         maker = Maker(ensemble, world, self.settings, device, palette, self.camouflage)
         for name in names:
             folder = self.out / str(name)
-            verb = "choose" if name.choice in ("plain", "best") else "attack"
+            verb = "choose" if name.has_candidates else "attack"
             texture = self._finished_texture()
             with progress_bar(f"{verb} {name}") as update:
                 maker.make(name, folder, draws=self.draws, texture=texture, progress=update)

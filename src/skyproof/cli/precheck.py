@@ -40,7 +40,7 @@ class Precheck:
         backgrounds: background set folder.
         fleet: fleet folder.
         scenes: scene file on these backgrounds and vehicles; None draws scenes on the test split.
-        scenes_count: number of scenes; more cost more and narrow the intervals.
+        scenes_count: number of scenes; more scenes take longer and narrow the intervals.
         image_px: side of drawn scenes in pixels; None is the first detector's training size.
         draws: number of draws of each random control.
         frames: annotated photographs, [NAME=]FOLDER[/PATTERN][:LABELS]@GSD[#CLASS,...], as in

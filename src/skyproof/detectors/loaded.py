@@ -75,12 +75,12 @@ def load_detector(
         black_box.freeze(labelled)
         return black_box
     place = detector_folder(detector)
+    card = read_card(place)
     with reinstalled(place):
-        return _load(place)
+        return _load(place, card)
 
 
-def _load(folder: Path) -> TrainableDetector:
-    card = read_card(folder)
+def _load(folder: Path, card: DetectorCard) -> TrainableDetector:
     path = folder / "weights.safetensors"
     tensors, _ = read_tensors(path, "copy the whole folder again, or train the detector again")
     try:

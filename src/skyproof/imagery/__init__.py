@@ -1,4 +1,4 @@
-"""Real imagery lies here: orthophotos become tiles, labels of all forms become boxes, and back.
+"""Real imagery: orthophotos become tiles, labels of all forms become boxes, and back.
 
 Vehicles are removed from tiles, so that they can serve as ground; whole annotated images are read.
 """

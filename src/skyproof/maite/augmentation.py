@@ -78,8 +78,11 @@ class CamouflageAugmentation:
         images, _, metadata = batch
         known = zip(images, metadata, strict=True)
         rendered = [self._rendered(self._scene(image, each), each) for image, each in known]
-        shown, targets, told = (list(parts) for parts in zip(*rendered, strict=True))
-        return shown, targets, told
+        return (
+            [each[0] for each in rendered],
+            [each[1] for each in rendered],
+            [each[2] for each in rendered],
+        )
 
     def _scene(self, image: Any, known: Mapping[str, Any]) -> Scene:
         scene = self._scenes.get(known["id"])

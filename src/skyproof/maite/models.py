@@ -24,10 +24,10 @@ from skyproof.maite.targets import LABELS, Target, bytes_of, found_vehicles
 class DetectorModel:
     """A detector of ours as a MAITE object-detection model.
 
+    Detections below the threshold are returned, too, so that MAITE's metrics see the whole curve.
+
     Args:
         detector: a detector folder, or a result of `load_detector`.
-
-    Detections below the threshold are returned, too, so that MAITE's metrics see the whole curve.
 
     Attributes:
         metadata: `id`, the name and the first digits of a digest of weights and threshold, because

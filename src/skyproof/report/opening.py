@@ -21,7 +21,7 @@ _SEVERITY = ("accepted", "undecided", "not applicable", "rejected")
 class Opening:
     """The answer in ten seconds: one figure with its interval and meaning, and the next steps.
 
-    What there is not is empty.
+    Missing parts are empty.
     """
 
     tone: Literal["neutral", "accepted", "rejected", "undecided", "not applicable"]

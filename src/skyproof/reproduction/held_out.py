@@ -13,7 +13,6 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from skyproof.camouflage.name import CamouflageName
-from skyproof.layout import Layout
 from skyproof.report.figures import BLUE, GREY, INK, ORANGE, STYLE, as_files
 from skyproof.reproduction.cells import (
     Block,
@@ -31,7 +30,6 @@ from skyproof.reproduction.cells import (
 from skyproof.reproduction.cycles import rates_under
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.results.baseline import Baseline
-from skyproof.results.precheck import read_prechecks
 from skyproof.results.result import MEAN
 from skyproof.results.results import CYCLES, RENDERER, Results
 from skyproof.words import detector_name
@@ -101,7 +99,7 @@ def _rates(results: Results, name: str, detector: str) -> dict[str, Any]:
 def _baselines(run: Reproduction, table: str) -> list[dict[str, Any]]:
     """The baselines of each detector: in its validation, in its precheck, and here."""
     results = run.held_out[table]
-    records = read_prechecks(Layout(results.folder).detectors)
+    records = results.prechecks
     rows = []
     for detector in results.detectors:
         facts = results.cards.get(detector)

@@ -9,6 +9,7 @@ from typing import Any
 from skyproof.assessment.run import Step
 from skyproof.cycles.settings import Rendering
 from skyproof.documents import read_document
+from skyproof.errors import ConfigurationError
 from skyproof.layout import Layout
 from skyproof.reproduction.held_out_detectors import stored_tables
 from skyproof.reproduction.jobs import Jobs
@@ -20,7 +21,7 @@ from skyproof.reproduction.world import RENDERED, Rendered
 from skyproof.seeds import next_seed
 
 
-def plan_of_run(device: str = "auto", blender: Path | str | None = None) -> Plan:
+def plan_of_run(device: str = "auto", blender: Path | str | None = None, **others: object) -> Plan:
     """Returns the plan of the run in the current folder, as its `config.json` has it.
 
     The held-out detectors are those that lie in the folder. Device and Blender may change from call
@@ -30,6 +31,10 @@ def plan_of_run(device: str = "auto", blender: Path | str | None = None) -> Plan
         ConfigurationError: a setting is missing, unknown, or cannot be.
         StoredFileError: there is no `config.json`, or it is damaged.
     """
+    if others:
+        raise ConfigurationError(
+            f"Snakemake's --config takes device and blender, got {', '.join(others)}; leave it out."
+        )
     layout = PaperLayout(Path())
     values: dict[str, Any] = read_document(
         layout.config, dict[str, Any], "copy the preset there, or give another folder"

@@ -63,9 +63,9 @@ class SceneDraw:
         """Draws numbers from 0 to 1."""
         return torch.rand(*shape, dtype=torch.float64, generator=self.generator).tolist()
 
-    def inside(self, placement: Placement) -> bool:
+    def inside(self, at: Placement | Place) -> bool:
         """Whether a vehicle's centre is inside the margin."""
-        return max(abs(placement.x_m), abs(placement.y_m)) <= self.half_m
+        return max(abs(at.x_m), abs(at.y_m)) <= self.half_m
 
 
 def place_vehicles(draw: SceneDraw) -> tuple[BackgroundWindow, tuple[Placement, ...]]:
@@ -96,9 +96,7 @@ def place_vehicles(draw: SceneDraw) -> tuple[BackgroundWindow, tuple[Placement, 
                 places = _removed_places(tile, window, backgrounds.gsd_m)
             else:
                 places = _drivable_places(draw, window)
-            half_m = draw.half_m
-            places = [p for p in places if max(abs(p.x_m), abs(p.y_m)) <= half_m]
-            placements = _fill(draw, places, number)
+            placements = _fill(draw, [place for place in places if draw.inside(place)], number)
             if len(placements) >= least:
                 return window, placements
     raise ConfigurationError(
