@@ -153,8 +153,10 @@ def _parse(words: Sequence[str], commands: Commands) -> Any:
 
     kind = load_command(words[0], commands)
     try:
-        # Nested settings check themselves while they are parsed.
-        command = tyro.cli(kind, prog=f"skyproof {words[0]}", args=words[1:])
+        # Nested settings check themselves while they are parsed. Without these two, help texts
+        # would offer "{None}|PATH" and "--no-plan".
+        plain = (tyro.conf.DisallowNone, tyro.conf.FlagCreatePairsOff)
+        command = tyro.cli(kind, prog=f"skyproof {words[0]}", args=words[1:], config=plain)
         check_ranges(command)
     except ConfigurationError as error:
         raise ConfigurationError(_as_typed(str(error), words)) from error
