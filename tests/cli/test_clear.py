@@ -32,11 +32,10 @@ def test_it_says_what_was_done_about_the_sun_of_how_many_sources():
         "suns": {"a": own, "b": own, "c": shared, "dated": own},
         "overcast": ["dated", "e"],
         "photographs": 6,
-        "shaded": ["a-0", "c-0"],
     }
     assert [*light_words(record)] == [
         "Sun known over 3 of 6 sources, 29 to 34 degrees high, that of 1 taken from the others, "
-        "which agree: vehicles will stand in it, and in the shadows that were found on 2 tiles.",
+        "which agree: vehicles will stand in it.",
         "Overcast: over 2 of 6 sources vehicles cast no shadow (or too few stand to tell, and "
         "nearly all others are overcast), so they will be drawn in the sky's light alone.",
         "Where the sun stood over 1 of 6 sources is not known (too few vehicles with clear "

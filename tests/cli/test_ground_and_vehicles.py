@@ -54,7 +54,6 @@ def test_tiles_hold_images_at_any_heading():
     [
         {"labels": LabelSettings(Path("cars.geojson"))},
         {"source": SourceSettings(0.125)},
-        {"tiling": TilingSettings(like=Path("tiles"))},
     ],
 )
 def test_settings_that_cannot_work_are_refused(tmp_path, wrong):
@@ -112,7 +111,7 @@ def test_fleets_without_other_paints_are_drawn_with_a_note(tmp_path, skyproof: S
 def test_too_few_test_tiles_for_an_interval_are_told_at_once(tiles, told):
     counts = {split: {"tiles": 5, "vehicles": 0, "ignored": 0} for split in SPLITS}
     counts["test"]["tiles"] = tiles
-    record = TilingRecord({}, [], {}, counts, empty=0, missing=[], notes=[])
+    record = TilingRecord({}, [], {}, counts, empty=0, notes=[])
     said = "\n".join(tiling_words(record, labelled=False))
     assert ("too few for a useful interval" in said) == (told is not None)
     assert told is None or told in said

@@ -53,21 +53,19 @@ def tile(
     size_px=64,
     minimum_px=None,
     block_m=None,
-    like=None,
     source_gsd_m=None,
     crs=None,
     licence=None,
     taken=None,
-    cover=None,
     progress=None,
 ):
     """Cuts small tiles. Returns the set and the record."""
     record = tile_imagery(
         paths,
         folder,
-        settings=TilingSettings(gsd_m, size_px, minimum_px, block_m, like),
+        settings=TilingSettings(gsd_m, size_px, minimum_px, block_m),
         generator=torch.Generator().manual_seed(seed),
-        source_settings=SourceSettings(source_gsd_m, crs, licence, taken, cover),
+        source_settings=SourceSettings(source_gsd_m, crs, licence, taken),
         labels=labels,
         progress=progress,
     )

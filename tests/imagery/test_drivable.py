@@ -72,19 +72,6 @@ def test_on_a_labelled_tile_without_vehicles_nothing_is_drivable():
     assert not drivable_directions(image, GSD_M, torch.zeros(0, 4)).any()
 
 
-def test_ground_under_crowns_is_not_drivable():
-    image, _, _ = street()
-    cover = torch.zeros(SIDE_PX, SIDE_PX, dtype=torch.uint8)
-    cover[:, :120], cover[:, 120:200] = 140, 110
-    drivable = drivable_directions(image, GSD_M, cover=cover) > 0
-    assert not drivable[:, :117].any()
-    open_ground = drivable_directions(image, GSD_M) > 0
-    assert open_ground[:, :117].any()
-    # Beyond, less than half is covered.
-    assert drivable[:, 160:].any()
-    assert (drivable == open_ground)[:, 160:].all()
-
-
 @pytest.mark.parametrize("side_px", [1, 7, 33])
 def test_tiny_tiles_have_no_drivable_ground(side_px):
     image = torch.full((3, side_px, side_px), 120, dtype=torch.uint8)

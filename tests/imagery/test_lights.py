@@ -22,7 +22,7 @@ MIDDLE, EDGE = (500_000.0, 5_330_000.0), (760_000.0, 5_330_000.0)
 
 
 def cell(place, crs=32632):
-    return Cell("a", CRS.from_epsg(crs), *place, size_px=64, gsd_m=0.125, sources=(0,))
+    return Cell("a", CRS.from_epsg(crs), *place, 64, 0.125, (0,), ("a", 0, 0))
 
 
 def compass_deg(sun):
@@ -56,7 +56,7 @@ def test_grid_north_is_told_from_true_north():
 def test_night_and_places_unknown_are_refused():
     with pytest.raises(ImageryError, match="the sun stood at"):
         sun_over(cell(MIDDLE), datetime(2024, 6, 20, 23, 0, tzinfo=UTC))
-    nowhere = Cell("a", None, 0.0, 0.0, size_px=64, gsd_m=0.125, sources=(0,))
+    nowhere = Cell("a", None, 0.0, 0.0, 64, 0.125, (0,), ("a", 0, 0))
     with pytest.raises(ImageryError, match="expects georeferenced images"):
         sun_over(nowhere, datetime(2024, 6, 20, 11, 0, tzinfo=UTC))
     with pytest.raises(ConfigurationError, match="expects a time with its zone"):

@@ -14,6 +14,7 @@ from skyproof.imagery.clearing.sunlight import (
     Footprints,
     casts_no_shadow,
     estimate_sun,
+    lights_record,
     measured_lights,
     shadow_light,
     with_sky,
@@ -198,6 +199,11 @@ def test_suns_are_shared_where_shadows_are_unclear_and_not_where_there_are_none(
     assert lights["overcast-0"].sun is None
     assert lights["few-0"].sky != OVERCAST_SKY
     assert lights_of("a", "b", "few")["few-0"].sun is None, "two others are too few"
+    tiles = [tile for tile in BackgroundSet.open(tmp_path).all_tiles() if tile.id in lights]
+    record = lights_record(tiles, lights)
+    assert {*record["suns"]} == {"a", "b", "c", "few"}
+    assert record["overcast"] == ["overcast"]
+    assert record["photographs"] == 5
 
 
 def test_a_flight_under_clouds_is_overcast_where_too_few_vehicles_stand_to_tell(ground, tmp_path):

@@ -6,13 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 from rasterio.transform import Affine, from_origin
 from rasterio.warp import transform as transform_places
 
 from skyproof.datasets.dataset import Dataset
 from skyproof.errors import ConfigurationError, ImageryError
-from skyproof.imagery.labels.files import read_labels
 from skyproof.imagery.labels.label import GroundLabels, ImageLabels, Label
 from skyproof.imagery.settings import LabelSettings
 from tests.imagery.made import all_tiles, noise, tile, write_image
@@ -216,37 +214,6 @@ def test_an_image_nobody_labelled_is_ignored_as_a_whole(tmp_path):
     assert {one.id for one in all_tiles(backgrounds) if one.source == "b.tif"} == {*ignored}
     assert {tuple(*found) for found in ignored.values()} == {(0, 0, 64, 64)}
     assert any(note.startswith("b.tif has no labels") for note in record.notes)
-
-
-@pytest.mark.parametrize("form", ["coco", "yolo"])
-def test_labels_of_map_tiles_are_told_apart_by_their_column(tmp_path, form):
-    # 26 m at zoom 20; the western column has one vehicle, the eastern one none.
-    names = [f"20/{558_060 + across}/364070" for across in (0, 1)]
-    for name in names:
-        file = tmp_path / "town" / "images" / f"{name}.png"
-        file.parent.mkdir(parents=True)
-        Image.fromarray(noise(256, 256).transpose(1, 2, 0)).save(file)
-    place = tmp_path / "town"
-    if form == "coco":
-        row = {"image_id": 0, "category_id": 1, "bbox": [100, 100, 20, 20]}
-        images = [{"id": number, "file_name": f"{name}.png"} for number, name in enumerate(names)]
-        categories = [{"id": 1, "name": "car"}]
-        place = tmp_path / "labels.json"
-        place.write_text(
-            json.dumps({"categories": categories, "images": images, "annotations": [row]})
-        )
-    else:
-        (place / "data.yaml").write_text("names: [car]")
-        for name, text in zip(names, ("0 0.43 0.43 0.08 0.08", ""), strict=True):
-            (place / "labels" / name).parent.mkdir(parents=True)
-            (place / "labels" / f"{name}.txt").write_text(text)
-    backgrounds, record = tile(
-        [tmp_path / "town" / "images"], tmp_path / "set",
-        labels=(read_labels(place), LabelSettings(place)),
-    )  # fmt: skip
-    assert {one.source for one in all_tiles(backgrounds)} == {"images"}
-    assert sum(count["vehicles"] for count in record.counts.values()) == 1
-    assert not any("has no labels" in note for note in record.notes)
 
 
 def test_labels_on_the_map_say_nothing_of_an_image_without_a_place(tmp_path):

@@ -3,21 +3,16 @@
 import itertools
 import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from PIL import Image
 from rasterio.transform import Affine, from_origin
-from rasterio.warp import Resampling, reproject
 from rasterio.warp import transform as transform_places
 from scipy import ndimage
 
-from skyproof.errors import ConfigurationError, ImageryError
-from skyproof.imagery.labels.label import GroundLabels, Label
-from skyproof.imagery.settings import LabelSettings, TilingSettings
-from skyproof.imagery.tiles.georeference import map_tile
+from skyproof.errors import ImageryError
 from skyproof.scenes.splits import SPLITS
 from tests.imagery.made import all_tiles, noise, smooth_noise, tile, write_image
 
@@ -175,46 +170,24 @@ def test_a_cell_on_the_seam_of_two_sheets_is_put_together(tmp_path):
         )
 
 
-@pytest.fixture
-def town(tmp_path):
-    """A map of 7 x 7 tiles of 256 px at zoom 20 above Munich, some 26 m each, and where it lies."""
+def test_touching_map_tiles_are_one_map(tmp_path):
+    # 7 x 7 tiles of 256 px at zoom 20 above Munich, some 26 m each.
     side = 2 * math.pi * 6378137 / 2**20
-    column, row = 558_060, 364_070
-    corner = column * side - math.pi * 6378137, math.pi * 6378137 - row * side
-    pixel = side / 256
-    return smooth_noise(1792, 1792), column, row, from_origin(*corner, pixel, pixel)
-
-
-def save_map_tile(path, scene, across, down):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = scene[:, down * 256 : down * 256 + 256, across * 256 : across * 256 + 256]
-    Image.fromarray(part.transpose(1, 2, 0)).save(path)
-
-
-@pytest.mark.parametrize("kind", ["xyz", "world files"])
-def test_touching_map_tiles_are_one_map(tmp_path, town, kind):
-    scene, column, row, transform = town
+    corner = 558_060 * side - math.pi * 6378137, math.pi * 6378137 - 364_070 * side
+    scene, transform = smooth_noise(1792, 1792), from_origin(*corner, side / 256, side / 256)
     folder = tmp_path / "town"
+    folder.mkdir()
     for across in range(7):
         for down in range(7):
-            if kind == "xyz":
-                save_map_tile(
-                    folder / f"20/{column + across}/{row + down}.png", scene, across, down
-                )
-                continue
             place = folder / f"{across}_{down}.png"
-            save_map_tile(place, scene, across, down)
+            part = scene[:, down * 256 : down * 256 + 256, across * 256 : across * 256 + 256]
+            Image.fromarray(part.transpose(1, 2, 0)).save(place)
             left, top = transform * (across * 256, down * 256)
             half = transform.a / 2
             lines = (transform.a, 0, 0, -transform.a, left + half, top - half)
             place.with_suffix(".pgw").write_text("\n".join(map(repr, lines)))
-    if kind == "xyz":
-        # Another zoom shows the same ground again.
-        save_map_tile(folder / f"19/{column // 2}/{row // 2}.png", scene, 0, 0)
     write_image(tmp_path / "whole.tif", scene, crs="EPSG:3857", transform=transform)
-    joined, record = tile(
-        [folder], tmp_path / "joined", size_px=300, crs=None if kind == "xyz" else "EPSG:3857"
-    )
+    joined, record = tile([folder], tmp_path / "joined", size_px=300, crs="EPSG:3857")
     whole, _ = tile([tmp_path / "whole.tif"], tmp_path / "set", size_px=300)
     assert {one.source for one in all_tiles(joined)} == {"town"}
     assert len(record.sources) == 49
@@ -227,26 +200,6 @@ def test_touching_map_tiles_are_one_map(tmp_path, town, kind):
         # Seams are a little less sharp or smooth than what is read through.
         assert difference.abs().mean() < 1.0
         assert difference.abs().max() < 30
-
-
-def test_a_path_of_numbers_is_a_map_tile_only_where_it_can_be(tmp_path):
-    assert map_tile(Path("town/20/558060/364070.png")) == (20, 558060, 364070)
-    for other in ("town/2024/05/12.png", "20/558060/a.png", "3/8/1.png", "1.png", "3/1/-1.png"):
-        assert map_tile(Path(other)) is None
-    save_map_tile(tmp_path / "town/x/1.png", smooth_noise(256, 256), 0, 0)
-    with pytest.raises(ImageryError, match="holds no image"):
-        tile([tmp_path / "town"], tmp_path / "set")
-
-
-def test_map_tiles_that_leave_gaps_fill_no_cell(tmp_path, town):
-    scene, column, row, _ = town
-    for across in range(7):
-        for down in range(7):
-            if (across + down) % 2:
-                place = tmp_path / f"town/20/{column + across}/{row + down}.png"
-                save_map_tile(place, scene, across, down)
-    with pytest.raises(ImageryError, match="no image holds a whole tile of 300 px"):
-        tile([tmp_path / "town"], tmp_path / "set", size_px=300)
 
 
 def test_imagery_across_a_zone_border_has_one_grid(tmp_path):
@@ -298,64 +251,6 @@ def test_the_longest_names_are_read_again(tmp_path):
     path = write_image(tmp_path / "a.tif", noise(64, 64)).rename(tmp_path / f"{stem}.tif")
     backgrounds, _ = tile([path], tmp_path / "set", source_gsd_m=0.125)
     assert [one.id for one in all_tiles(backgrounds)] == [f"{stem}-00000-00000"]
-
-
-def test_pairing_cuts_the_same_ground_from_another_source(tmp_path):
-    scene = smooth_noise(800, 800)
-    write_image(
-        tmp_path / "first.tif",
-        scene,
-        crs=NZTM,
-        transform=from_origin(1_550_003, 5_190_002, 0.125, 0.125),
-    )
-    first, _ = tile([tmp_path / "first.tif"], tmp_path / "first")
-    # Part of the ground, coarser, in Web Mercator.
-    (x,), (y,) = transform_places(NZTM, "EPSG:3857", [1_550_003.0], [5_190_002.0])
-    other, transform = np.zeros((3, 700, 300), np.uint8), from_origin(x, y, 0.2, 0.2)
-    reproject(
-        scene, other, src_transform=from_origin(1_550_003, 5_190_002, 0.125, 0.125), src_crs=NZTM,
-        dst_transform=transform, dst_crs="EPSG:3857", resampling=Resampling.bilinear,
-    )  # fmt: skip
-    write_image(tmp_path / "second.tif", other, crs="EPSG:3857", transform=transform, nodata=0)
-    second, record = tile([tmp_path / "second.tif"], tmp_path / "second", like=tmp_path / "first")
-    ids = {one.id for one in all_tiles(second)}
-    assert 10 < len(ids) < len(all_tiles(first))
-    assert {*record.missing} == {one.id for one in all_tiles(first)} - ids
-    before, after = bounds_of(tmp_path / "first"), bounds_of(tmp_path / "second")
-    for one in all_tiles(second):
-        assert (one.split, after[one.id]["bounds"]) == (
-            first.tile(one.id).split,
-            before[one.id]["bounds"],
-        )
-        difference = first.pixels(one.id).float() - second.pixels(one.id).float()
-        assert float(difference.abs().mean()) < 4
-    write_image(
-        tmp_path / "far.tif", other, crs="EPSG:3857", transform=from_origin(0, 5e6, 0.2, 0.2)
-    )
-    with pytest.raises(ImageryError, match="None of the imagery shows ground"):
-        tile([tmp_path / "far.tif"], tmp_path / "third", like=tmp_path / "first")
-
-
-def test_pairing_takes_the_resolution_of_what_it_is_like(tmp_path):
-    corner = from_origin(1_550_000, 5_190_000, 0.1, 0.1)
-    path = write_image(tmp_path / "a.tif", smooth_noise(300, 300), crs=NZTM, transform=corner)
-    first, _ = tile([path], tmp_path / "first", gsd_m=0.1)
-    labels = GroundLabels(("vehicle",), (Label("vehicle", ((1_550_003.2, 5_189_996.8),)),), NZTM)
-    usual = TilingSettings()
-    second, record = tile(
-        [path], tmp_path / "second", gsd_m=usual.gsd_m, size_px=usual.size_px,
-        like=tmp_path / "first", labels=(labels, LabelSettings(Path("labels.geojson"))),
-    )  # fmt: skip
-    assert second.gsd_m == first.gsd_m == 0.1
-    assert (record.settings["gsd_m"], record.settings["size_px"]) == (0.1, 64)
-    for split in SPLITS:
-        document = json.loads((tmp_path / "second" / split / "annotations.json").read_text())
-        assert document["info"]["gsd_m"] == 0.1
-    for asked, option in (({"gsd_m": 0.2}, "gsd-m"), ({"size_px": 80}, "size-px")):
-        with pytest.raises(
-            ConfigurationError, match=rf"^--tiling\.{option} expects .*leave it out"
-        ):
-            tile([path], tmp_path / "third", like=tmp_path / "first", **asked)
 
 
 def test_small_images_shrink_their_tiles_where_that_is_allowed(tmp_path):

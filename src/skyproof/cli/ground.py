@@ -50,18 +50,11 @@ class Ground:
 
     def __post_init__(self) -> None:
         said = self.source
-        about_imagery = (
-            self.labels.path,
-            self.tiling.like,
-            said.gsd_m,
-            said.crs,
-            said.taken,
-            said.cover,
-        )
+        about_imagery = (self.labels.path, said.gsd_m, said.crs, said.taken)
         if not self.sources and any(value is not None for value in about_imagery):
             raise ConfigurationError(
-                "--labels.path, --tiling.like and --source.* speak of imagery, but no image was "
-                "named; name images, or folders of them."
+                "--labels.path and --source.* speak of imagery, but no image was named; name "
+                "images, or folders of them."
             )
 
     def run(self) -> None:
@@ -72,9 +65,7 @@ class Ground:
         with finished_folder(self.out) as folder:
             if self.sources:
                 labelled = self.labels.path is not None
-                for line in tiling_words(
-                    self._cut(folder), labelled=labelled, like=self.tiling.like
-                ):
+                for line in tiling_words(self._cut(folder), labelled=labelled):
                     say(line)
             else:
                 self._draw(folder)

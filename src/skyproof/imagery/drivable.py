@@ -8,7 +8,6 @@ import torch.nn.functional as F
 from jaxtyping import UInt8
 from numpy.typing import NDArray
 from scipy import ndimage
-from torch import Tensor
 
 from skyproof.datasets.pictures import Boxes, Pixels
 from skyproof.scenes.directions import direction_values, with_room
@@ -38,10 +37,7 @@ DIRECTION_WITHIN_M = 3.0
 
 
 def drivable_directions(
-    image: Pixels,
-    gsd_m: float,
-    vehicles: Boxes | None = None,
-    cover: UInt8[Tensor, "H W"] | None = None,
+    image: Pixels, gsd_m: float, vehicles: Boxes | None = None
 ) -> UInt8[np.ndarray, "H W"]:
     """Makes a tile's map of drivable ground (`skyproof.scenes.directions`) from its picture.
 
@@ -52,7 +48,7 @@ def drivable_directions(
     - with labels, of a colour as beside one of the tile's vehicles, and connected with the place of
       a vehicle.
 
-    Crowns or roofs cover at most half of it. The heading runs along the edges around: the direction
+    The heading runs along the edges around: the direction
     of least change by the structure tensor of the picture, within some 3 m.
 
     Limits: without labels flat grey roofs and squares count as drivable, and tracks of soil do not.
@@ -61,7 +57,6 @@ def drivable_directions(
 
     Args:
         vehicles: boxes of the labelled vehicles, pixel xyxy; None for an unlabelled tile.
-        cover: the tile's map of crowns and roofs, as `BackgroundTile.cover` says.
     """
     cell_px = max(1, round(CELL_M / gsd_m))
     cell_m = cell_px * gsd_m
@@ -78,8 +73,6 @@ def drivable_directions(
         boxes = vehicles.double().numpy() / cell_px
         free = _tidied(plain & _like_beside(colour, plain, boxes, cell_m))
         free = _touching(free, boxes, cell_m)
-    if cover is not None:
-        free = free & (F.avg_pool2d(cover[None].float(), cell_px)[0].numpy() <= 255 / 2)
     directions = np.where(free, direction_values(_heading_rad(grey, cell_m)), 0).astype(np.uint8)
     directions = with_room(directions, free, cell_m)
     fine = np.repeat(np.repeat(directions, cell_px, 0), cell_px, 1)

@@ -21,7 +21,6 @@ from skyproof.imagery.labels.label import (
     require_inside,
     sort_labels,
 )
-from skyproof.imagery.tiles.georeference import image_name
 from skyproof.pictures import LARGEST_PX, open_picture, whole_picture
 
 # Frames are decoded by Pillow, which reads fewer formats than GDAL.
@@ -130,9 +129,7 @@ def read_frames_folder(
 def _labels_of(
     file: Path, size_px: tuple[int, int], annotations: ImageLabels, place: Path
 ) -> Sequence[Label]:
-    # Images in folders of numbers, as map tiles are, may be labelled by their stems.
-    name = image_name(file)
-    name = name if name in annotations.images else file.stem
+    name = file.stem
     if name not in annotations.images:
         raise ImageryError(
             f"{file} has no labels in {place}; an image without vehicles needs an empty text "

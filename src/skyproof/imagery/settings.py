@@ -32,8 +32,6 @@ class TilingSettings:
             empty.
         block_m: width in metres of the blocks of tiles that go to one split; None is about 400, and
             less for little imagery.
-        like: tiled folder whose tiles and splits are used again for other images of the same
-            ground.
         shares: shares of the tiles that go to train, validation, attack and test; a split with a
             share of 0 gets none.
     """
@@ -42,7 +40,6 @@ class TilingSettings:
     size_px: _TileSide = 384
     minimum_px: Suppress[_TileSide | None] = None
     block_m: Suppress[Annotated[float, Meta(ge=0.1, le=1e6)] | None] = None
-    like: Path | None = None
     shares: Suppress[tuple[Fraction, Fraction, Fraction, Fraction]] = (0.5, 0.15, 0.15, 0.2)
 
     def __post_init__(self) -> None:
@@ -69,15 +66,12 @@ class SourceSettings:
         licence: licence of images that state none.
         taken: time of the flight with its zone, such as 2024-06-20T13:00:00+02:00. Vehicles are lit
             by the sun of that time.
-        cover: mask of each image, white at crowns, roofs and bridges, which then hide vehicles; or
-            a folder of such masks.
     """
 
     gsd_m: GroundResolution | None = None
     crs: str | None = None
     licence: str | None = None
     taken: datetime | None = None
-    cover: Path | None = None
 
     def __post_init__(self) -> None:
         check_ranges(self)

@@ -55,8 +55,7 @@ def light_words(record: dict[str, Any]) -> Iterator[str]:
         taken = f", that of {shared} taken from the others, which agree" if shared else ""
         yield (
             f"Sun known over {len(sunny)} of {photographs} sources, {min(elevations_deg):.0f} to "
-            f"{max(elevations_deg):.0f} degrees high{taken}: vehicles will stand in it, and in the "
-            f"shadows that were found on {len(record['shaded'])} tiles."
+            f"{max(elevations_deg):.0f} degrees high{taken}: vehicles will stand in it."
         )
     if overcast:
         yield (
@@ -97,13 +96,8 @@ _FEW_TILES = 12
 """Fewest test tiles: with 12, a success rate has an interval of about ±30 points."""
 
 
-def tiling_words(
-    record: TilingRecord, *, labelled: bool, like: Path | None = None
-) -> Iterator[str]:
-    """Yields notes, counts of tiles, and a warning if they are too few for a test.
-
-    `like` is the tiled folder whose ground was cut again, if any.
-    """
+def tiling_words(record: TilingRecord, *, labelled: bool) -> Iterator[str]:
+    """Yields notes, counts of tiles, and a warning if they are too few for a test."""
     for note in record.notes[:_NOTES_SHOWN]:
         yield f"  note: {note}"
     if len(record.notes) > _NOTES_SHOWN:
@@ -115,14 +109,12 @@ def tiling_words(
             vehicles = f", {count['vehicles']} vehicles, {count['ignored']} ignore regions"
         yield f"  {split:<10} {count['tiles']:>7} tiles{vehicles}"
     few = record.counts["test"]["tiles"]
-    if 0 < few < _FEW_TILES and like is None:
+    if 0 < few < _FEW_TILES:
         yield (
             f"  {few} test tiles are too few for a useful interval: where what a tile's vehicles "
             f"have in common decides, a success rate stays open by ±{100 / math.sqrt(few):.0f} "
             "points; give more imagery, or make the tiles smaller (--tiling.size-px of skyproof "
             "ground)."
         )
-    if like is not None:
-        yield f"  {len(record.missing)} tiles of {like} are missing here (listed in tiling.json)"
-    elif record.empty:
+    if record.empty:
         yield f"  {record.empty} cells left out: more than 2 % of each is empty"

@@ -18,11 +18,10 @@ from skyproof.datasets.pictures import Boxes, Pixels
 from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError, ImageryError, StoredFileError
 from skyproof.files import write_json
-from skyproof.imagery.clearing.cast_shadows import lights_record, shaded_tiles
 from skyproof.imagery.clearing.exemplar import fill_ground
 from skyproof.imagery.clearing.labelled import TileLabels, read_labels_of_tiles, removed_vehicles
 from skyproof.imagery.clearing.sheet import ContactSheet, SheetRow
-from skyproof.imagery.clearing.sunlight import measured_lights, picture_of
+from skyproof.imagery.clearing.sunlight import lights_record, measured_lights, picture_of
 from skyproof.imagery.clearing.vehicle_masks import (
     Shadow,
     VehicleFinder,
@@ -110,7 +109,7 @@ def clear_backgrounds(
 
     The places and headings of the vehicles are stored with every tile, and the map of drivable
     ground is made anew. The sun and sky of each source are estimated from the shadows of vehicles,
-    trees and buildings, and stored as well.
+    and stored as well.
 
     Labelled vehicles, ignored objects, and the detections of `finder` are removed. Without a
     finder, unlabelled regions are filled as a whole. Tiles on which `checker` still finds a vehicle
@@ -119,8 +118,8 @@ def clear_backgrounds(
 
     Args:
         folder: a tiled folder, with or without `<split>/annotations.json`.
-        out: folder for the tiles, their maps of drivable ground and of shadows, `index.json`,
-            `index.geojson`, `clearing.json` and `sheets/`; use `finished_folder` around it.
+        out: folder for the tiles, their maps of drivable ground, `index.json`, `index.geojson`,
+            `clearing.json` and `sheets/`; use `finished_folder` around it.
         fill: fills a mask of a tile and leaves every byte outside it as it was.
         finder: finds vehicles that are not labelled.
         checker: inspects the result at its own threshold.
@@ -174,12 +173,10 @@ def clear_backgrounds(
             f"No tile of {folder} could be cleared ({reasons}); give a better detector, or allow a "
             "larger ClearSettings.largest_masked_share."
         )
-    gsd_m, sensor, light = backgrounds.gsd_m, backgrounds.sensor, backgrounds.light
-    kept = shaded_tiles(BackgroundSet(out, gsd_m, kept, sensor, light))
-    record |= lights_record(tiles, lights, kept)
+    record |= lights_record(tiles, lights)
     write_json(out / CLEARING_RECORD, record)
     copy_ground_index(folder, out, {tile.id for tile in kept})
-    write_index(out, gsd_m, kept, sensor, light)
+    write_index(out, backgrounds.gsd_m, kept, backgrounds.sensor, backgrounds.light)
     return record
 
 
@@ -270,7 +267,7 @@ def _with_places(clearing: _Clearing, tile: BackgroundTile, found: _Found) -> Ba
     cover = backgrounds.cover(tile.id)
     # On an unlabelled tile, the absence of finds does not mean that no vehicle may stand there.
     stood = found.sure if clearing.labels is not None or len(found.sure) else None
-    directions = drivable_directions(cleared, backgrounds.gsd_m, stood, cover)
+    directions = drivable_directions(cleared, backgrounds.gsd_m, stood)
     return replace(
         tile,
         removed=(*tile.removed, *found.removed),

@@ -6,7 +6,8 @@ import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -168,6 +169,19 @@ def measured_lights(
     return lights
 
 
+def lights_record(
+    tiles: Sequence[BackgroundTile], lights: Mapping[str, Light | None]
+) -> dict[str, Any]:
+    """Lists the suns of photographs, and the overcast ones, by the `measured_lights` of tiles."""
+    of_tiles = ((picture_of(tile), lights[tile.id]) for tile in tiles if tile.kind is None)
+    known = {picture: light for picture, light in of_tiles if light is not None}
+    return {
+        "suns": {name: asdict(light.sun) for name, light in known.items() if light.sun is not None},
+        "overcast": [name for name, light in known.items() if light.sky == OVERCAST_SKY],
+        "photographs": len(known),
+    }
+
+
 def _light_by_vehicles(
     backgrounds: BackgroundSet, tiles: Sequence[BackgroundTile], vehicles: _Vehicles
 ) -> Light:
@@ -284,12 +298,8 @@ def with_sky(light: Light, ratios: Iterable[Float[Tensor, "_ 3"]]) -> Light:
     rows = torch.cat([torch.zeros(0, 3), *ratios])
     if len(rows) < FEWEST_VEHICLES:
         return light
-    return replace(light, sky=sky_of((rows.median(0).values / _SKY_LEFT).tolist()))
-
-
-def sky_of(left: Iterable[float]) -> tuple[float, float, float]:
-    """Returns the sky's share of the light for the red, green and blue in wide shadows."""
-    return rounded_levels(min(max(each, 0.05), 1.0) for each in left)
+    left = (rows.median(0).values / _SKY_LEFT).tolist()
+    return replace(light, sky=rounded_levels(min(max(each, 0.05), 1.0) for each in left))
 
 
 def _side(stacked: Array) -> tuple[float, Array, float]:

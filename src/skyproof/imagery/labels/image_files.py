@@ -15,7 +15,6 @@ from skyproof.documents import read_document
 from skyproof.errors import ImageryError
 from skyproof.imagery.labels.label import Box, ImageLabels, Label, require_inside
 from skyproof.imagery.rasters import RASTER_SUFFIXES, open_raster
-from skyproof.imagery.tiles.georeference import image_name
 from skyproof.ranges import Coordinate
 
 LARGEST_NUMBER = 1e9
@@ -109,7 +108,7 @@ def read_coco_labels(path: Path) -> ImageLabels:
     names: dict[int | str, str] = {}
     for image in document.images:
         # Only the name of a path counts: no file is opened by it.
-        names[image.id] = image_name(Path(image.file_name))
+        names[image.id] = Path(image.file_name).stem
         sized = image.width and image.height
         size_px = (int(image.width or 0), int(image.height or 0)) if sized else None
         images.add_image(names[image.id], size_px)
@@ -158,7 +157,7 @@ def read_yolo_labels(folder: Path, names: Path) -> ImageLabels:
         image = _image_of(text)
         if image is None:
             continue
-        name = image_name(image)
+        name = image.stem
         images.add_image(name, _image_size_px(image))
         for number, words in text_lines(text):
             where = f"{text} line {number}"
@@ -257,7 +256,7 @@ def read_dota_labels(folder: Path) -> ImageLabels:
     images = _LabelledImages(folder)
     for text in sorted(folder.glob("*.txt")):
         image = _image_of(text)
-        name = text.stem if image is None else image_name(image)
+        name = text.stem
         images.add_image(name, None if image is None else _image_size_px(image))
         for number, words in text_lines(text):
             if not words[0].lower().startswith(_DOTA_HEADERS):

@@ -91,7 +91,7 @@ class ImageLabels:
 
     Attributes:
         classes: every class name of the file, also those without an object.
-        images: labels of each labelled image, by its `image_name`.
+        images: labels of each labelled image, by its file's name without the ending.
         sizes_px: width and height of each image, if the file or the image beside it states them.
     """
 

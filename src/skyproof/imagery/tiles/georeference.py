@@ -18,9 +18,6 @@ COARSEST_GSD_M = 0.5
 FINEST_PLAUSIBLE_M = 0.005
 TRUE_TO_SCALE = 0.0015
 
-_DEEPEST_ZOOM = 24
-_WEB_MERCATOR = "EPSG:3857"
-
 EQUATOR_RADIUS_M, ECCENTRICITY_SQUARED = 6378137.0, 0.00669437999014
 """WGS 84."""
 
@@ -74,38 +71,6 @@ def outline(width_px: int, height_px: int, steps: int = 8) -> list[Point]:
     return [*half, *((width - x, height - y) for x, y in half)]
 
 
-def map_tile(path: Path) -> tuple[int, int, int] | None:
-    """Reads zoom, column and row of a map tile from its path z/x/y; None for other paths.
-
-    Rows are counted from the north, as in web maps and XYZ folders. TMS, which counts from the
-    south, cannot be distinguished.
-    """
-    parts = (*path.parts[-3:-1], path.stem)
-    # More digits than a place can have would be a date or a hash.
-    if len(parts) < 3 or not all(part.isdecimal() and len(part) <= 8 for part in parts):
-        return None
-    zoom, column, row = map(int, parts)
-    return (zoom, column, row) if zoom <= _DEEPEST_ZOOM and max(column, row) < 2**zoom else None
-
-
-def image_name(path: Path) -> str:
-    """Names an image among others: z/x/y of a map tile, else its file without the ending."""
-    place = map_tile(path)
-    return path.stem if place is None else "/".join(map(str, place))
-
-
-def _of_map_tile(path: Path, width_px: int, height_px: int) -> Affine | None:
-    """Returns the transform of a square map tile in Web Mercator."""
-    place = map_tile(path)
-    if place is None or width_px != height_px:
-        return None
-    zoom, column, row = place
-    half = math.pi * EQUATOR_RADIUS_M
-    side = 2 * half / 2**zoom
-    corner = Affine.translation(column * side - half, half - row * side)
-    return corner * Affine.scale(side / width_px, -side / height_px)
-
-
 def read_georeference(
     dataset: DatasetReader,
     path: Path,
@@ -115,15 +80,11 @@ def read_georeference(
 ) -> Georeference:
     """Finds the place of an image, and adds assumptions to `notes`.
 
-    The file's own georeference comes first, then its place among map tiles (z/x/y). `crs` is the
-    reference system of a transform (the file's or a world file's) that names none. Without any
-    system the image gets a grid of its own, at `source_gsd_m` or else at the transform's pixel
-    size, taken as metres if it is between 0.5 and 50 cm.
+    `crs` is the reference system of a transform (the file's or a world file's) that names none.
+    Without any system the image gets a grid of its own, at `source_gsd_m` or else at the
+    transform's pixel size, taken as metres if it is between 0.5 and 50 cm.
     """
     affine, system = dataset.transform, dataset.crs
-    tile = _of_map_tile(path, dataset.width, dataset.height) if affine.is_identity else None
-    if tile is not None:
-        affine, system = tile, CRS.from_user_input(_WEB_MERCATOR)
     plain = affine.is_identity
     if not plain and abs(affine.determinant) < 1e-30:
         raise ImageryError(

@@ -14,12 +14,7 @@ from scipy.sparse.csgraph import connected_components
 
 from skyproof.errors import ImageryError
 from skyproof.imagery.settings import TilingSettings
-from skyproof.imagery.tiles.georeference import (
-    image_name,
-    is_true_to_scale,
-    outline,
-    to_reference_system,
-)
+from skyproof.imagery.tiles.georeference import is_true_to_scale, outline, to_reference_system
 from skyproof.imagery.tiles.sources import Source
 from skyproof.ranges import is_name
 from skyproof.scenes.splits import Split
@@ -29,6 +24,10 @@ MOST_CELLS = 500_000
 """Tiles of one grid, as many as a thousand square kilometres have at the usual size."""
 GLOBAL_FROM_TILES = 8
 SHRINK = 0.8
+WANTED_BLOCKS = 24
+DEFAULT_BLOCK_M = 400.0
+
+BlockKey = tuple[str, int, int]
 
 Extent = tuple[float, float, float, float]
 """Left, bottom, right, top in a grid's metres."""
@@ -41,9 +40,7 @@ class Cell:
     Attributes:
         crs: reference system; None in the grid of an image without georeference.
         sources: numbers of the sources that may show it, in the order of their precedence.
-        offset_px: place in the grid, right and down.
-        block: name of the grid, row and column; cells of one block go to one split.
-        split: its split, if that is decided beforehand.
+        block: name of the grid, row and column.
     """
 
     id: str
@@ -53,9 +50,7 @@ class Cell:
     size_px: int
     gsd_m: float
     sources: tuple[int, ...]
-    offset_px: tuple[int, int] = (0, 0)
-    block: tuple[str, int, int] | None = None
-    split: Split | None = None
+    block: BlockKey
 
     @property
     def side_m(self) -> float:
@@ -227,7 +222,7 @@ def _layout(
     first = sources[group[0]]
     crs = first.georeference.crs
     if crs is None:
-        return image_name(first.path).replace("/", "-"), None, {group[0]: extent_of(first, None)}
+        return first.path.stem, None, {group[0]: extent_of(first, None)}
     middle = first.georeference.transform * (first.width_px / 2, first.height_px / 2)
     code = crs.to_epsg() if is_true_to_scale(crs, middle) else None
     if code is None:
@@ -260,9 +255,8 @@ def cells_of(grid: Grid) -> list[Cell]:
     cells = []
     for (row, column), numbers in grid.filled.items():
         left_m, top_m = grid.left_m + column * grid.side_m, grid.top_m - row * grid.side_m
-        offset_px = (column * grid.size_px, row * grid.size_px)
         if grid.crs is None:
-            tile_id = f"{grid.name}-{offset_px[1]:05d}-{offset_px[0]:05d}"
+            tile_id = f"{grid.name}-{row * grid.size_px:05d}-{column * grid.size_px:05d}"
         else:
             tile_id = f"{grid.name}-e{math.floor(left_m)}-n{math.floor(top_m)}"
         # A tile becomes a file of this name, which all commands read after this one.
@@ -273,15 +267,8 @@ def cells_of(grid: Grid) -> list[Cell]:
                 "the image."
             )
         place = (tile_id, grid.crs, left_m, top_m, grid.size_px, grid.gsd_m)
-        block = (grid.name, row, column)
-        cells.append(Cell(*place, tuple(sorted(numbers)), offset_px, block))
+        cells.append(Cell(*place, tuple(sorted(numbers)), (grid.name, row, column)))
     return cells
-
-
-WANTED_BLOCKS = 24
-DEFAULT_BLOCK_M = 400.0
-
-BlockKey = tuple[str, int, int]
 
 
 def assign_splits(
@@ -305,7 +292,7 @@ def assign_splits(
     wanted = WANTED_BLOCKS if block_m is None else len(shares)
     width_m = DEFAULT_BLOCK_M if block_m is None else block_m
     while True:
-        sides = {cell.block[0]: _side(cell, width_m) for cell in cells if cell.block is not None}
+        sides = {cell.block[0]: _side(cell, width_m) for cell in cells}
         blocks = {cell.id: _block(cell, sides) for cell in cells}
         if len({*blocks.values()}) >= wanted or all(side == 1 for side in sides.values()):
             break
@@ -320,7 +307,7 @@ def assign_splits(
         split_of[key] = split
         given[split] += sizes[key]
     # Cells of one grid have one size.
-    cell_of = {cell.block[0]: cell for cell in cells if cell.block is not None}
+    cell_of = {cell.block[0]: cell for cell in cells}
     widths_m = {grid: sides[grid] * one.size_px * one.gsd_m for grid, one in cell_of.items()}
     return {cell.id: split_of[blocks[cell.id]] for cell in cells}, widths_m
 
@@ -330,6 +317,5 @@ def _side(cell: Cell, width_m: float) -> int:
 
 
 def _block(cell: Cell, sides: Mapping[str, int]) -> BlockKey:
-    assert cell.block is not None
     grid, row, column = cell.block
     return grid, row // sides[grid], column // sides[grid]

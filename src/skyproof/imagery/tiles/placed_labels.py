@@ -25,7 +25,7 @@ from skyproof.imagery.labels.label import (
     sort_labels,
 )
 from skyproof.imagery.settings import LabelSettings
-from skyproof.imagery.tiles.georeference import image_name, system_of, to_reference_system
+from skyproof.imagery.tiles.georeference import system_of, to_reference_system
 from skyproof.imagery.tiles.grid import Cell, Extent, around, extent_of, plane_of
 from skyproof.imagery.tiles.sources import Source
 
@@ -137,7 +137,7 @@ class PlacedLabels:
     def _place_pixels(self, labels: ImageLabels) -> int:
         """Places labels in pixels; returns how many lie outside the imagery."""
         path = self._settings.path
-        known = {image_name(source.path) for source in self._sources}
+        known = {source.path.stem for source in self._sources}
         unknown = [name for name in labels.images if name not in known]
         total = sum(map(len, labels.images.values()))
         outside = sum(len(labels.images[name]) for name in unknown)
@@ -150,7 +150,7 @@ class PlacedLabels:
             (p, n) for p in self._planes for n in sorted(self._planes[p].sources)
         ):
             source = self._sources[number]
-            name, size_px = image_name(source.path), (source.width_px, source.height_px)
+            name, size_px = source.path.stem, (source.width_px, source.height_px)
             if name not in labels.images:
                 self._add_unlabelled(plane, number)
                 continue

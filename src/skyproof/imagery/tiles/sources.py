@@ -23,12 +23,7 @@ from skyproof.errors import ImageryError
 from skyproof.imagery.labels.image_files import IMAGE_FOLDER
 from skyproof.imagery.rasters import RASTER_SUFFIXES, open_raster
 from skyproof.imagery.settings import SourceSettings
-from skyproof.imagery.tiles.georeference import (
-    Georeference,
-    image_name,
-    map_tile,
-    read_georeference,
-)
+from skyproof.imagery.tiles.georeference import Georeference, read_georeference
 
 GDAL_CACHE_MB = 256
 OPEN_AT_ONCE = 8
@@ -73,22 +68,11 @@ class Source:
         across_m, down_m = self.georeference.gsd_m
         return min(self.width_px * across_m, self.height_px * down_m)
 
-    @property
-    def is_map_tile(self) -> bool:
-        """Whether its place in folders is that of a map tile."""
-        return map_tile(self.path.resolve()) is not None
-
-    @property
-    def collection(self) -> str:
-        """The name of its folder; of a map tile the folder above z/x/y."""
-        return self.path.resolve().parents[2 if self.is_map_tile else 0].name
-
 
 def find_images(paths: Sequence[Path]) -> list[Path]:
     """Lists the images among `paths` and in the folders among them, sorted within a folder.
 
-    Of the sub-folders only `images/` and map tiles z/x/y (the finest zoom) are searched, and only
-    if the folder itself holds no image.
+    Of the sub-folders only `images/` is searched, and only if the folder itself holds no image.
 
     Raises:
         ImageryError: a path is missing, a folder holds no image, or two images share a name.
@@ -96,7 +80,7 @@ def find_images(paths: Sequence[Path]) -> list[Path]:
     files: list[Path] = []
     for path in map(Path, paths):
         if path.is_dir():
-            images = _images_in(path) or _images_in(path / IMAGE_FOLDER) or _map_tiles_in(path)
+            images = _images_in(path) or _images_in(path / IMAGE_FOLDER)
             if not images:
                 raise ImageryError(
                     f"{path} holds no image ({', '.join(RASTER_SUFFIXES)}); give another folder "
@@ -111,10 +95,9 @@ def find_images(paths: Sequence[Path]) -> list[Path]:
         raise ImageryError("No imagery was given; name images or folders of them.")
     seen: set[str] = set()
     for file in files:
-        name = image_name(file)
-        if name in seen:
+        if file.stem in seen:
             raise ImageryError(f"{file} shares its name with another image; rename one of them.")
-        seen.add(name)
+        seen.add(file.stem)
     return files
 
 
@@ -122,19 +105,6 @@ def _images_in(folder: Path) -> list[Path]:
     if not folder.is_dir():
         return []
     return sorted(file for file in folder.iterdir() if file.suffix.lower() in RASTER_SUFFIXES)
-
-
-def _map_tiles_in(folder: Path) -> list[Path]:
-    zooms = sorted(
-        (path for path in folder.iterdir() if path.is_dir() and path.name.isdecimal()),
-        key=lambda path: -int(path.name),
-    )
-    for zoom in zooms:
-        columns = sorted(path for path in zoom.iterdir() if path.name.isdecimal())
-        tiles = [file for column in columns for file in _images_in(column)]
-        if tiles:
-            return [file for file in tiles if map_tile(file) is not None]
-    return []
 
 
 @contextmanager

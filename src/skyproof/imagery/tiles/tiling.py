@@ -22,8 +22,8 @@ from skyproof.imagery.sharpness import measure_sensor
 from skyproof.imagery.tiles.grid import Cell, assign_splits, cells_of, lay_grids
 from skyproof.imagery.tiles.placed_labels import PlacedLabels
 from skyproof.imagery.tiles.sources import Source, SourceReader, find_images, inspect_source
-from skyproof.imagery.tiles.tile_index import cells_like, settings_like, write_ground_index
-from skyproof.imagery.tiles.warp import CellImage, cover_of, find_covers, read_cell
+from skyproof.imagery.tiles.tile_index import write_ground_index
+from skyproof.imagery.tiles.warp import CellImage, read_cell
 from skyproof.scenes.background_index import BackgroundTile, save_map, save_tile, write_index
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.sensor import Sensor
@@ -41,7 +41,6 @@ class TilingRecord:
         blocks_m: width of the blocks of each grid.
         counts: numbers of tiles, vehicles and ignore regions of each split.
         empty: number of cells left out because more than 2 % of them is empty.
-        missing: ids of the tiles of `like` that the sources do not show.
         notes: sentences about assumptions, repairs, and images or labels that were left out.
     """
 
@@ -50,7 +49,6 @@ class TilingRecord:
     blocks_m: dict[str, float]
     counts: dict[str, dict[str, int]]
     empty: int
-    missing: list[str]
     notes: list[str]
 
 
@@ -80,8 +78,8 @@ def tile_imagery(
 ) -> TilingRecord:
     """Cuts orthophotos into a background set, and with labels into a dataset per split.
 
-    It writes `index.json`, `index.geojson`, `<split>/images/*.png`, `drivable/*.png`, with masks
-    `cover/*.png`, and `tiling.json`. Use `finished_folder` around it.
+    It writes `index.json`, `index.geojson`, `<split>/images/*.png`, `drivable/*.png` and
+    `tiling.json`. Use `finished_folder` around it.
 
     Sources are read window by window: memory does not grow with them. The ground is cut into cells
     (`lay_grids`), a cell becomes a tile if sources show 98 % of it (`read_cell`), and blocks of
@@ -98,41 +96,37 @@ def tile_imagery(
 
     Args:
         paths: images, or folders of images; sub-folders are not searched.
-        settings: with `like`, resolution and size are those of its set.
         labels: the labels, and their classes that count as vehicles.
         progress: called with (cells done, cells in all).
 
     Raises:
-        ConfigurationError: the settings cannot work, or differ from the resolution or size of
-            `like`.
         ImageryError: an image is missing, unreadable, without resolution, or coarser than 50 cm;
             the images hold no tile; the labels do not fit them; a time is given for images without
             georeference, or the sun was down.
-        StoredFileError: `like` is not a tiled folder.
         RunFolderError: the disk cannot take it.
     """
     source_settings = source_settings or SourceSettings()
-    if settings.like is not None:
-        settings = settings_like(settings, settings.like)
     files = find_images(paths)
     with SourceReader() as reader:
         sources = [inspect_source(path, source_settings, reader) for path in files]
         notes = _notes(sources)
-        cut = _Cut(folder, settings, sources, _cells(sources, settings, notes), notes)
-        # An impossible time or a missing mask is refused before anything is cut.
+        grids = lay_grids(sources, settings, notes)
+        cells = [cell for grid in grids for cell in cells_of(grid)]
+        cut = _Cut(folder, settings, sources, cells, notes)
+        # An impossible time is refused before anything is cut.
         taken = source_settings.taken
-        suns = {cell.id: sun_over(cell, taken) for cell in cut.cells if taken and cell.sources}
-        cover = source_settings.cover
-        masks = [] if cover is None else find_covers(cover, sources, reader)
+        suns = {cell.id: sun_over(cell, taken) for cell in cells if taken}
         placed = None if labels is None else PlacedLabels(*labels, sources, cut.cells)
         notes += placed.notes if placed is not None else []
         for done, cell in enumerate(cut.cells, 1):
-            _cut_cell(cut, cell, masks, placed, reader)
+            _cut_cell(cut, cell, placed, reader)
             if progress is not None:
                 progress(done, len(cut.cells))
     # Too little imagery is refused before anything else is written.
     _refuse_too_few(len(cut.tiles), settings)
-    splits, blocks_m = _splits(cut, generator)
+    splits, blocks_m = assign_splits(
+        [*cut.kept.values()], settings.split_shares, block_m=settings.block_m, generator=generator
+    )
     tiles = _sort_into_splits(cut, splits)
     if placed is not None:
         _write_datasets(folder, tiles, cut.annotations, settings.gsd_m)
@@ -144,7 +138,6 @@ def tile_imagery(
         blocks_m=blocks_m,
         counts=_counts(tiles, cut.annotations),
         empty=len(cut.cells) - len(tiles),
-        missing=[cell.id for cell in cut.cells if settings.like and cell.id not in splits],
         notes=notes,
     )
     write_ground_index(folder, tiles, cut.kept)
@@ -154,15 +147,9 @@ def tile_imagery(
     return record
 
 
-def _cut_cell(
-    cut: _Cut,
-    cell: Cell,
-    masks: Sequence[Source],
-    placed: PlacedLabels | None,
-    reader: SourceReader,
-) -> None:
-    """Writes a cell that sources fill as a tile, with its maps of drivable and hidden ground."""
-    image = read_cell(cell, cut.sources, reader) if cell.sources else None
+def _cut_cell(cut: _Cut, cell: Cell, placed: PlacedLabels | None, reader: SourceReader) -> None:
+    """Writes a cell that sources fill as a tile, with its map of drivable ground."""
+    image = read_cell(cell, cut.sources, reader)
     if image is None:
         return
     vehicles = None
@@ -173,12 +160,9 @@ def _cut_cell(
     tile = _tile(cell, image, cut.sources)
     pixels = torch.from_numpy(image.pixels)
     save_tile(cut.folder, tile, pixels)
-    hidden = cover_of(cell, image, masks, reader) if masks else None
-    cover = None if hidden is None else torch.from_numpy(hidden)
-    directions = drivable_directions(pixels, cell.gsd_m, vehicles, cover)
+    directions = drivable_directions(pixels, cell.gsd_m, vehicles)
     drivable = save_map(cut.folder, "drivable", tile.id, directions)
-    covered = None if hidden is None else save_map(cut.folder, "cover", tile.id, hidden)
-    cut.tiles.append(dataclasses.replace(tile, drivable=drivable, cover=covered))
+    cut.tiles.append(dataclasses.replace(tile, drivable=drivable))
     cut.kept[cell.id] = cell
 
 
@@ -232,14 +216,9 @@ def _sensor(
     return sensor
 
 
-def _cells(sources: Sequence[Source], settings: TilingSettings, notes: list[str]) -> list[Cell]:
-    if settings.like is not None:
-        return cells_like(settings.like, sources, notes)
-    return [cell for grid in lay_grids(sources, settings, notes) for cell in cells_of(grid)]
-
-
 def _tile(cell: Cell, image: CellImage, sources: Sequence[Source]) -> BackgroundTile:
     shown = [sources[number] for number in np.unique(image.owner[image.owner >= 0])]
+    _, row, column = cell.block
     licences = dict.fromkeys(source.licence for source in shown if source.licence)
     return BackgroundTile(
         id=cell.id,
@@ -249,17 +228,15 @@ def _tile(cell: Cell, image: CellImage, sources: Sequence[Source]) -> Background
         width_px=cell.size_px,
         height_px=cell.size_px,
         source=" + ".join(_names(cell, shown)),
-        offset_px=cell.offset_px,
+        offset_px=(column * cell.size_px, row * cell.size_px),
         licence="; ".join(licences) or None,
     )
 
 
 def _names(cell: Cell, shown: Sequence[Source]) -> list[str]:
-    """Names the images of a tile, or the folder of map tiles and of several small images."""
-    folders = len(shown) > 1 and all(source.smaller_side_m < cell.side_m for source in shown)
-    names = (
-        source.collection if folders or source.is_map_tile else source.path.name for source in shown
-    )
+    """Names the images of a tile, or the folders of several small ones."""
+    small = len(shown) > 1 and all(source.smaller_side_m < cell.side_m for source in shown)
+    names = (source.path.resolve().parent.name if small else source.path.name for source in shown)
     return list(dict.fromkeys(names))
 
 
@@ -274,15 +251,6 @@ def _notes(sources: Sequence[Source]) -> list[str]:
         for note, names in of_note.items()
         for name in (names if len(names) <= _SAME_NOTES else [f"{len(names):,} images"])
     ]
-
-
-def _splits(cut: _Cut, generator: torch.Generator) -> tuple[dict[str, Split], dict[str, float]]:
-    cells = [*cut.kept.values()]
-    if cut.settings.like is not None:
-        return {cell.id: cell.split for cell in cells if cell.split is not None}, {}
-    return assign_splits(
-        cells, cut.settings.split_shares, block_m=cut.settings.block_m, generator=generator
-    )
 
 
 def _sort_into_splits(cut: _Cut, splits: Mapping[str, Split]) -> list[BackgroundTile]:

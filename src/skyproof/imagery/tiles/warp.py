@@ -1,15 +1,12 @@
-"""Resamples cells of ground and masks of their cover, in true metres, anti-aliased."""
+"""Resamples cells of ground in true metres, anti-aliased."""
 
-import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 from affine import Affine
-from jaxtyping import UInt8
 from numpy.typing import NDArray
 from rasterio.crs import CRS
 from rasterio.enums import Resampling
@@ -18,17 +15,9 @@ from rasterio.warp import reproject
 from rasterio.windows import Window
 from scipy.ndimage import distance_transform_edt
 
-from skyproof.errors import ImageryError
-from skyproof.imagery.settings import SourceSettings
-from skyproof.imagery.tiles.georeference import image_name, outline, to_reference_system
+from skyproof.imagery.tiles.georeference import outline, to_reference_system
 from skyproof.imagery.tiles.grid import FULL_SHARE, Cell
-from skyproof.imagery.tiles.sources import (
-    Source,
-    SourceReader,
-    find_images,
-    inspect_source,
-    read_mask,
-)
+from skyproof.imagery.tiles.sources import Source, SourceReader, read_mask
 
 SHRINKING_FROM = 1.1
 PIECE_PX = 2048
@@ -176,47 +165,3 @@ def _window(
     if (count <= 0).any():
         return None, False
     return Window(*first.tolist(), *count.tolist()), inside
-
-
-def find_covers(path: Path, sources: Sequence[Source], reader: SourceReader) -> list[Source]:
-    """Finds the mask of each source, an image of its name and size, in a folder or a single file.
-
-    The only mask of a single source may have another name. Masks of map tiles lie in folders z/x/y.
-    """
-    found = find_images([path])
-    files = {image_name(file): file for file in found}
-    if len(found) == len(sources) == 1:
-        files = {image_name(sources[0].path): found[0]}
-    masks = []
-    for source in sources:
-        file = files.get(image_name(source.path))
-        if file is None:
-            raise ImageryError(
-                f"{path} holds no mask for {source.path.name}; add an image of the same name, "
-                "black where nothing hides the ground."
-            )
-        gsd_m = max(source.georeference.gsd_m)
-        mask = inspect_source(file, SourceSettings(gsd_m=gsd_m), reader)
-        if (mask.width_px, mask.height_px) != (source.width_px, source.height_px):
-            raise ImageryError(
-                f"{file} has {mask.width_px} x {mask.height_px} pixels and {source.path.name} "
-                f"{source.width_px} x {source.height_px}; give a mask of the same size."
-            )
-        masks.append(dataclasses.replace(mask, georeference=source.georeference))
-    return masks
-
-
-def cover_of(
-    cell: Cell, image: CellImage, masks: Sequence[Source], reader: SourceReader
-) -> UInt8[np.ndarray, "S S"]:
-    """Cuts the masks as a cell's picture was cut, each pixel from the mask of its source.
-
-    Nothing hides the ground where a mask has no data. A mask of zeros and ones is scaled to 255.
-    """
-    cover = np.zeros(image.owner.shape, np.uint8)
-    for number in np.unique(image.owner[image.owner >= 0]):
-        pixels, valid = read_source(masks[number], cell, reader)
-        values = np.where(valid, pixels[0], 0).astype(np.uint8)
-        own = image.owner == number
-        cover[own] = (values * 255 if values.max() <= 1 else values)[own]
-    return cover
