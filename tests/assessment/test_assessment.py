@@ -11,7 +11,6 @@ from skyproof.assessment.request import Request
 from skyproof.assessment.subject import Subject
 from skyproof.assessment.suite import DEMO_SUITE, read_suite
 from skyproof.assessment.suite import SUITE as SUITE_FILE
-from skyproof.camouflage.controls import controls
 from skyproof.detectors.answers import BlackBoxDetector
 from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS
 from skyproof.files import file_digest
@@ -113,7 +112,7 @@ def test_every_attack_is_scored_beside_its_controls(folder):
     assert len(names) == len(set(names))
     for name in SUITE.names:
         assert str(name) in names
-        assert {str(control) for control in controls(name).chosen} <= set(names)
+        assert {str(control) for control in name.chosen_controls} <= set(names)
         draws = [str(name.control.with_repeat(draw)) for draw in range(SUITE.draws)]
         assert set(draws) <= set(names)
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from skyproof.camouflage.constraints import TextureConstraints
+from skyproof.camouflage.name import TextureConstraints
 from skyproof.errors import ConfigurationError
 
 NAMES = {

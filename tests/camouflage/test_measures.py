@@ -3,8 +3,7 @@
 import pytest
 import torch
 
-from skyproof.camouflage.measures import mean_measures, measure_texture
-from skyproof.errors import ConfigurationError
+from skyproof.camouflage.practicality import mean_measures, measure_texture
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 from skyproof.vehicles.vehicle import Part
 from tests.vehicles.flat_body import flat_bodies
@@ -149,11 +148,3 @@ def test_means_over_vehicles_have_flat_names():
     )
     without = mean_measures(measure_texture(vehicles, halves, inner_rows(2), None))
     assert set(without) == {"painted_area_m2", "colours", "boundary_m", "regions"}
-
-
-def test_blocks_that_do_not_fit_the_map_are_refused():
-    for block_px in (0, 15, 1024):
-        with pytest.raises(
-            ConfigurationError, match=f"Blocks of {block_px} texels do not divide a map of 512"
-        ):
-            measure_texture(flat_bodies(1), two_colours(torch.tensor(True)), None, block_px)

@@ -2,9 +2,7 @@
 
 import pytest
 
-from skyproof.camouflage.constraints import TextureConstraints
-from skyproof.camouflage.controls import controls
-from skyproof.camouflage.name import CamouflageName
+from skyproof.camouflage.name import CamouflageName, TextureConstraints
 from skyproof.errors import ConfigurationError
 
 FIXED = TextureConstraints(colours="fixed")
@@ -177,7 +175,7 @@ def test_variants_and_repeats_are_added_in_their_places():
 )
 def test_every_attack_has_three_chosen_controls(learnt, expected):
     name = CamouflageName.parse(learnt)
-    assert [str(control) for control in controls(name).chosen] == expected
+    assert [str(control) for control in name.chosen_controls] == expected
     assert all(CamouflageName.parse(text).choice for text in expected)
 
 
@@ -199,9 +197,9 @@ def test_copies_of_a_search_say_after_how_many_images(name, kept):
 
 
 def test_a_combination_has_its_own_texture_under_random_shapes():
-    assert str(controls(CamouflageName.parse("C-Fc-par@0.2-1")).random_shape) == "R-C-Fc-par@0.2"
-    assert controls(CamouflageName.parse("T-Fc")).random_shape is None
-    assert controls(CamouflageName.parse("R-C-Fc-seq@0.2")).random_shape is None
+    assert str(CamouflageName.parse("C-Fc-par@0.2-1").random_shape) == "R-C-Fc-par@0.2"
+    assert CamouflageName.parse("T-Fc").random_shape is None
+    assert CamouflageName.parse("R-C-Fc-seq@0.2").random_shape is None
     with pytest.raises(ConfigurationError, match=r"give R-C-Fc@0.2_best"):
         CamouflageName.parse("R-C-Fc-seq@0.2_best")
 

@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from skyproof.camouflage.displacement import DisplacementMap
-from skyproof.camouflage.measures import measure_shape
 from skyproof.camouflage.name import CamouflageName
+from skyproof.camouflage.practicality import measure_shape
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 from tests.render.bodies import vehicles
 
@@ -58,8 +58,3 @@ def test_the_bed_of_a_pickup_does():
     (measures,) = measure_shape(pickup, control(pickup))
     assert measures["intersections_before"] == 0
     assert measures["intersections_after"] > 50
-
-
-def test_other_vehicles_are_refused():
-    with pytest.raises(ValueError, match="same vehicles"):
-        measure_shape(vehicles(1), vehicles(2))

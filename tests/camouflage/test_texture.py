@@ -8,10 +8,9 @@ import pytest
 import torch
 from PIL import Image
 
-from skyproof.camouflage.constraints import TextureConstraints
 from skyproof.camouflage.folder import load_camouflage, save_camouflage
 from skyproof.camouflage.make import make_camouflage
-from skyproof.camouflage.name import CamouflageName
+from skyproof.camouflage.name import CamouflageName, TextureConstraints
 from skyproof.camouflage.texture import UniversalTexture
 from skyproof.errors import ConfigurationError
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet

@@ -14,7 +14,7 @@ from scipy.spatial import ConvexHull
 from trimesh.visual.material import SimpleMaterial
 
 from skyproof.camouflage.make import make_camouflage
-from skyproof.camouflage.measures import measure_shape, measure_texture
+from skyproof.camouflage.practicality import measure_shape, measure_texture
 from skyproof.geometry.intersections import self_intersections
 from skyproof.geometry.meshes import enclosed_volume_m3
 from skyproof.main import run

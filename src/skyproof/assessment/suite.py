@@ -14,8 +14,7 @@ from typing import Annotated
 from msgspec import Meta
 
 from skyproof.attacks.settings import AttackSettings, QuerySettings
-from skyproof.camouflage.controls import chosen_controls, controls
-from skyproof.camouflage.name import CamouflageName
+from skyproof.camouflage.name import CamouflageName, chosen_controls
 from skyproof.documents import read_document
 from skyproof.ranges import Count, WholeNumber
 
@@ -119,14 +118,14 @@ class Suite:
 
     def random_controls(self) -> list[str]:
         """The names of the random controls."""
-        names = dict.fromkeys(controls(name).random for name in self.names)
+        names = dict.fromkeys(name.control for name in self.names)
         return [str(name.with_repeat(draw)) for name in names for draw in range(self.draws)]
 
     def random_shapes(self) -> dict[str, list[str]]:
         """The names of random shapes, by the optimised texture under them."""
         shapes: dict[str, list[str]] = {}
         for name in self.names:
-            control = controls(name).random_shape
+            control = name.random_shape
             if control is not None:
                 names = [str(control.with_repeat(draw)) for draw in range(self.draws)]
                 shapes.setdefault(texture_under(name), []).extend(names)

@@ -40,9 +40,7 @@ class Camouflage(nn.Module):
 
 
 def random_part(size: int, *, generator: torch.Generator) -> tuple[slice, slice]:
-    """Draws rows and columns of a square map, each octave of length from size / 32 on equally
-    often.
-    """
+    """Draws rows and columns of a map, each octave of length from size / 32 on equally often."""
     parts = []
     for octave, place in torch.rand(2, 2, generator=generator).tolist():
         length = min(size, max(1, round(size * 2 ** (-5 * octave))))

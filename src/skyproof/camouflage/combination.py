@@ -8,7 +8,6 @@ from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.displacement import DisplacementMap
 from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.texture import UniversalTexture
-from skyproof.errors import ConfigurationError
 from skyproof.vehicles.vehicle import VehicleBatch
 
 
@@ -32,10 +31,6 @@ class Combination(Camouflage):
         turn_steps: int | None = None,
     ) -> None:
         super().__init__()
-        if turn_steps is not None and turn_steps < 1:
-            raise ConfigurationError(
-                f"A parallel attack expects turns of at least 1 step, got {turn_steps}."
-            )
         self.name = name
         self.texture = texture
         self.shape = shape
@@ -49,7 +44,6 @@ class Combination(Camouflage):
         }
 
     def forward(self, vehicles: VehicleBatch) -> VehicleBatch:
-        """Puts the vehicles into both."""
         return self.shape(self.texture(vehicles))
 
     def before_step_(self, step: int, steps: int) -> None:
@@ -62,7 +56,6 @@ class Combination(Camouflage):
         self.shape.before_step_(step, steps)
 
     def project_(self) -> None:
-        """Projects the parts that are learnt."""
         if self.turn_steps is not None:
             self.texture.project_()
         self.shape.project_()
@@ -73,6 +66,5 @@ class Combination(Camouflage):
         part.vary_(generator)
 
     def finalise(self) -> None:
-        """Finalises both parts."""
         self.texture.finalise()
         self.shape.finalise()

@@ -33,6 +33,11 @@ class DisplacementMap(Camouflage):
     Attributes:
         magnitude: PM, the largest displacement as a fraction of the width; the name says it.
         reach: `[64, 64]` D before symmetry; rows from nose to tail, columns as in `Template.uvs`.
+
+    Args:
+        generator: draws D uniformly, and its mirror image, for a random control; without one D is
+            half-way out everywhere.
+        frozen_parts: whether wheels and underside stay as they are.
     """
 
     def __init__(
@@ -42,13 +47,6 @@ class DisplacementMap(Camouflage):
         generator: torch.Generator | None = None,
         frozen_parts: bool = True,
     ) -> None:
-        """Starts half-way out everywhere, or as the random control.
-
-        Args:
-            name: name with a magnitude, such as "S-O@0.4"; PM = 0 keeps every vertex bit for bit.
-            generator: draws D uniformly, and its mirror image, for a random control.
-            frozen_parts: whether wheels and underside stay as they are.
-        """
         super().__init__()
         if name.magnitude is None:
             raise ConfigurationError(
@@ -75,7 +73,6 @@ class DisplacementMap(Camouflage):
 
     @torch.no_grad()
     def project_(self) -> None:
-        """Clips D to [0, 1]."""
         self.reach.clamp_(0.0, 1.0)
 
     @torch.no_grad()
@@ -84,9 +81,8 @@ class DisplacementMap(Camouflage):
         rows, columns = random_part(DISPLACEMENT_SIZE, generator=generator)
         value = float(torch.rand((), generator=generator))
         self.reach[rows, columns] = value
-        self.reach[rows, DISPLACEMENT_SIZE - columns.stop : DISPLACEMENT_SIZE - columns.start] = (
-            value
-        )
+        mirrored = slice(DISPLACEMENT_SIZE - columns.stop, DISPLACEMENT_SIZE - columns.start)
+        self.reach[rows, mirrored] = value
 
     @torch.no_grad()
     def finalise(self) -> None:

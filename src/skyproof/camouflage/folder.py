@@ -30,8 +30,7 @@ def save_camouflage(
 ) -> None:
     """Writes the folder; `camouflage.json` comes last, so a folder that has it is whole.
 
-    Args:
-        record: JSON values that say where it comes from.
+    The record is JSON values that say where the camouflage comes from.
     """
     folder = Path(folder)
     write_tensors(folder / "camouflage.safetensors", camouflage.state_dict())
@@ -57,8 +56,8 @@ def load_camouflage(folder: str | Path) -> Camouflage:
         camouflage = _build(described)
     except ConfigurationError as error:
         raise StoredFileError(
-            f"{Path(folder) / 'camouflage.json'} does not hold together ({_flat(error)}); "
-            f"{_REMEDY}."
+            f"{Path(folder) / 'camouflage.json'} does not hold together "
+            f"({' '.join(str(error).split()).rstrip('.')[:200]}); {_REMEDY}."
         ) from error
     weights = Path(folder) / "camouflage.safetensors"
     tensors, _ = read_tensors(weights, _REMEDY)
@@ -112,10 +111,6 @@ def _misfit(wanted: Mapping[str, Tensor], given: Mapping[str, Tensor]) -> str:
         if given[name].shape != tensor.shape:
             return f"{name} has the shape {[*given[name].shape]}, expected {[*tensor.shape]}"
     return next((f"it holds {name[:100]!r} too" for name in given if name not in wanted), "")
-
-
-def _flat(error: Exception) -> str:
-    return " ".join(str(error).split()).rstrip(".")[:200]
 
 
 def describe_camouflage(camouflage: Camouflage) -> dict[str, Any]:

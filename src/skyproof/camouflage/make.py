@@ -46,25 +46,23 @@ def make_camouflage(
             f"{name} names no camouflage that can be made; see skyproof attack --help."
         )
     made: Camouflage
-    if name.order == "seq" or (name.order == "par" and name.random):
-        made = Combination(name, _finished(texture, name), _shape(name, generator))
+    if name.kind == "texture":
+        made = _texture(name, generator, palette, settings)
     elif name.kind == "shape":
         made = _shape(name, generator)
+    elif name.order == "seq" or (name.order == "par" and name.random):
+        made = Combination(name, _finished(texture, name), _shape(name, generator))
     else:
-        made = _texture(name, generator, palette, settings)
-        if name.kind == "combination":
-            turns = None if name.random else settings.turn_steps
-            made = Combination(name, made, _shape(name, generator), turn_steps=turns)
+        under = _texture(name, generator, palette, settings)
+        turns = None if name.random else settings.turn_steps
+        made = Combination(name, under, _shape(name, generator), turn_steps=turns)
     if name.random:
         made.finalise()
     return made
 
 
 def draw_control(name: CamouflageName, *, seed: int, **given: Any) -> Camouflage:
-    """Draws a random control, such as "R-PixFc-3", from its name and the seed of the run.
-
-    Further arguments are those of `make_camouflage`.
-    """
+    """Draws a random control, such as "R-PixFc-3"; `given` is passed to `make_camouflage`."""
     return make_camouflage(name, generator=generator_of(seed, "control", str(name)), **given)
 
 
@@ -75,20 +73,10 @@ def make_candidates(
 
     "R-Ma_plain" has 27 plain paints under its mask, "R-S-O@0.4_plain" every vertex out under the
     vehicle's own paint, "R-C-Ma@0.2_plain" both, "R-PixFc_best" the first draws of R-PixFc.
-
-    Raises:
-        ConfigurationError: no such control.
     """
-    if name.choice == "plain":
-        return _plain(name)
-    if name.choice != "best":
-        raise ConfigurationError(f"{name} names no control that is chosen from others.")
-    names = [name.base.with_repeat(draw) for draw in range(draws)]
-    return [draw_control(each, seed=seed, **given) for each in names]
-
-
-def _plain(name: CamouflageName) -> list[Camouflage]:
-    """Every plain paint under the name's mask, every vertex out, or both."""
+    if name.choice == "best":
+        names = [name.base.with_repeat(draw) for draw in range(draws)]
+        return [draw_control(each, seed=seed, **given) for each in names]
     if name.constraints is None:
         return [even_shape(name)]
     paints = [plain_paint(colour, masked=name.constraints.masked) for colour in LATTICE]

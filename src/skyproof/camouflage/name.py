@@ -1,12 +1,12 @@
-"""The name of a camouflage, parsed into its parts."""
+"""The name of a camouflage, parsed into its parts, and the names of an attack's controls."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, cast, get_args
 
-from skyproof.camouflage.constraints import TextureConstraints
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import is_name
 
@@ -25,12 +25,10 @@ QUERIED = "asked"
 """The variant of a query attack on a detector that has gradients: "T-U_asked"."""
 
 _COPY = rf"(?:step\d+|relaxed|{QUERIED}\d+)"
-_KEPT = re.compile(rf"(?:.*_)?{_COPY}")
 
 Kind = Literal["texture", "shape", "combination", "other"]
 Order = Literal["seq", "par"]
 
-_PLAIN = (None, TextureConstraints(), TextureConstraints(masked=True))
 _WHOLE = re.compile(r"(?P<base>[^_]*?)(?:_(?P<variant>.*?))?(?:-(?P<repeat>\d+))?", re.DOTALL)
 # A user may join words with "_"; only what skyproof itself adds to a foreign name is its variant.
 _FOREIGN = re.compile(
@@ -43,6 +41,63 @@ _NAME = re.compile(
     r"(?P<kind>[TR])-(?P<texture>[A-Za-z]+)|(?P<random>R-)?"
     r"(?:S-O|C-(?P<combined>[A-Za-z]+)(?:-(?P<order>seq|par))?)@(?P<magnitude>[-+.\w]+)"
 )
+_WORDS = re.compile("Pix|Lc|Fc|Ma")
+
+
+@dataclass(frozen=True)
+class TextureConstraints:
+    """One of the 12 texture settings {–, Pix} × {–, Lc, Fc} × {–, Ma} (section 3.3).
+
+    Attributes:
+        pixelised: Pix, one colour per square block of texels.
+        colours: "free"; "learnt" (Lc), a few colours that the attack chooses; "fixed" (Fc).
+        masked: Ma, only painted body panels are changed.
+    """
+
+    pixelised: bool = False
+    colours: Literal["free", "learnt", "fixed"] = "free"
+    masked: bool = False
+
+    @property
+    def name(self) -> str:
+        """The words put together, such as "PixFcMa"; "U" without any constraint."""
+        colours = {"free": "", "learnt": "Lc", "fixed": "Fc"}[self.colours]
+        return "Pix" * self.pixelised + colours + "Ma" * self.masked or "U"
+
+    @property
+    def in_words(self) -> str:
+        """The texture for people: "free texture on the whole vehicle"."""
+        where = "on painted panels" if self.masked else "on the whole vehicle"
+        if self.colours == "free":
+            return f"{'texture in blocks' if self.pixelised else 'free texture'} {where}"
+        colours = "ground colours" if self.colours == "fixed" else "a few optimised colours"
+        return f"{'blocks' if self.pixelised else 'texture'} in {colours} {where}"
+
+    @classmethod
+    def parse(cls, text: str) -> TextureConstraints:
+        """Reads the constraints that `name` gave this text, and refuses any other text."""
+        if text == "U":
+            return cls()
+        words = _WORDS.findall(text)
+        if not words or "".join(words) != text:
+            raise ConfigurationError(
+                f"Unknown texture constraints {text!r}: write U for none, or put together Pix, Lc "
+                "or Fc, and Ma, such as PixFcMa."
+            )
+        if "Lc" in words and "Fc" in words:
+            raise ConfigurationError(
+                f"Lc and Fc exclude each other, but {text!r} has both: colours are either learnt "
+                "(Lc) or fixed (Fc)."
+            )
+        colours: Literal["free", "learnt", "fixed"] = (
+            "learnt" if "Lc" in words else "fixed" if "Fc" in words else "free"
+        )
+        constraints = cls(pixelised="Pix" in words, colours=colours, masked="Ma" in words)
+        if constraints.name != text:
+            raise ConfigurationError(
+                f"Texture constraints {text!r} must be written {constraints.name!r}."
+            )
+        return constraints
 
 
 @dataclass(frozen=True)
@@ -83,11 +138,7 @@ class CamouflageName:
 
     @classmethod
     def parse(cls, text: str) -> CamouflageName:
-        """Reads the name of a camouflage that skyproof can make.
-
-        Raises:
-            ConfigurationError: no such camouflage, contradictory constraints, or PM outside [0, 1].
-        """
+        """Reads the name of a camouflage that skyproof can make, and refuses any other."""
         base, variant, repeat = _parts(_WHOLE, text)
         match = _NAME.fullmatch(base)
         random = match is not None and (match["kind"] == "R" or match["random"] is not None)
@@ -103,7 +154,7 @@ class CamouflageName:
         kind: Kind = "texture" if match["texture"] else "combination" if words else "shape"
         order = cast("Order | None", match["order"])
         name = cls(kind, constraints, magnitude, order, random, variant, repeat)
-        if name.choice == "plain" and name.constraints not in _PLAIN:
+        if name.choice == "plain" and constraints not in (None, _plain(constraints)):
             raise ConfigurationError(
                 f"{text[:200]} names the best plain paint, which only U (all over) and Ma (on "
                 "painted parts) have, as in R-U_plain, R-Ma_plain or R-C-Ma@0.2_plain."
@@ -159,16 +210,14 @@ class CamouflageName:
     @property
     def in_words(self) -> str:
         """The camouflage for people: "blocks in ground colours on painted panels"."""
-        words = self._drawn_in_words
-        if self.variant == TRANSFER:
-            words += ", optimised on other detectors"
-        elif self.variant == QUERIED:
-            words += ", by a query attack"
-        elif self.variant == IN_WEATHER:
-            words += ", optimised in all weathers"
-        elif self.variant and not self.choice:
-            words += f" ({self.variant})"
-        return words
+        if not self.variant or self.choice:
+            return self._drawn_in_words
+        made = {
+            TRANSFER: ", optimised on other detectors",
+            QUERIED: ", by a query attack",
+            IN_WEATHER: ", optimised in all weathers",
+        }
+        return self._drawn_in_words + made.get(self.variant, f" ({self.variant})")
 
     @property
     def _drawn_in_words(self) -> str:
@@ -207,21 +256,18 @@ class CamouflageName:
         return replace(self, variant=f"{self.variant}_{variant}" if self.variant else variant)
 
     def with_repeat(self, repeat: int) -> CamouflageName:
-        """The name of one repeat of the same camouflage, "T-U" and 1 to "T-U-1"."""
+        """The name of one repeat, "T-U" and 1 to "T-U-1"."""
         return replace(self, repeat=str(repeat))
 
     def after_queries(self, images: int) -> CamouflageName:
-        """The copy that a query attack kept after so many images.
-
-        "T-U" and "T-U_asked" to "T-U_asked1500", "R-U_search" to "R-U_search_asked1500".
-        """
+        """The copy kept after so many images, "T-U" and "T-U_asked" to "T-U_asked1500"."""
         kept = f"{QUERIED}{images}"
         return self.with_variant(kept) if self.choice else replace(self, variant=kept)
 
     @property
     def kept_copy(self) -> bool:
         """Whether it is a copy that an attack kept: "T-U_step10", "T-U_relaxed"."""
-        return _KEPT.fullmatch(self.variant) is not None
+        return re.fullmatch(rf"(?:.*_)?{_COPY}", self.variant) is not None
 
     @property
     def choice(self) -> Choice | None:
@@ -259,6 +305,25 @@ class CamouflageName:
             return CamouflageName.read(f"R-{rest}")
         return replace(self.base, random=True, order=None)
 
+    @property
+    def chosen_controls(self) -> tuple[CamouflageName, CamouflageName, CamouflageName]:
+        """The controls under its mask that are chosen on other scenes, without a gradient.
+
+        The best plain paint, the best of many random draws, and the result of a random search.
+        "T-PixMa" to "R-Ma_plain", "R-PixMa_best", "R-PixMa_search".
+        """
+        random = self.control
+        plain = replace(random, constraints=_plain(random.constraints))
+        variants = zip((plain, random, random), CHOICES, strict=True)
+        plain, best, search = (name.with_variant(choice) for name, choice in variants)
+        return plain, best, search
+
+    @property
+    def random_shape(self) -> CamouflageName | None:
+        """A random shape on the attack's own texture, "C-Fc-seq@0.2" to "R-C-Fc-seq@0.2"."""
+        combined = self.order is not None and not self.random
+        return replace(self.base, random=True) if combined else None
+
 
 def _parts(pattern: re.Pattern[str], text: str) -> tuple[str, str, str]:
     match = pattern.fullmatch(text)
@@ -273,3 +338,17 @@ def _magnitude(text: str) -> float:
         raise ConfigurationError(
             f"A perturbation magnitude (PM) is a number from 0 to 1, but {text!r} follows the @."
         ) from None
+
+
+def _plain(constraints: TextureConstraints | None) -> TextureConstraints | None:
+    """The constraints of a plain paint under the same mask."""
+    return None if constraints is None else TextureConstraints(masked=constraints.masked)
+
+
+def chosen_controls(attacks: Mapping[CamouflageName, int]) -> dict[CamouflageName, int]:
+    """Gives every chosen control of some attacks the steps of the longest attack beside it."""
+    steps: dict[CamouflageName, int] = {}
+    for name, count in attacks.items():
+        for control in name.chosen_controls:
+            steps[control] = max(count, steps.get(control, 0))
+    return steps

@@ -5,8 +5,7 @@ import itertools
 import torch
 from torch import Tensor
 
-from skyproof.camouflage.constraints import TextureConstraints
-from skyproof.camouflage.name import CamouflageName
+from skyproof.camouflage.name import CamouflageName, TextureConstraints
 from skyproof.camouflage.texture import UniversalTexture
 from skyproof.vehicles.template import TOPOLOGY_BELT, column_u
 from skyproof.vehicles.vehicle import TEXTURE_SIZE
@@ -31,10 +30,9 @@ TWO_TONES: tuple[tuple[Colour, Colour], ...] = tuple(
 
 
 def plain_paint(colour: Colour, *, masked: bool) -> UniversalTexture:
-    """Returns one colour as a finished texture, such as "R-Ma_plain_ff8000".
+    """Returns one colour as a finished texture on painted panels (Ma) or everywhere.
 
-    It is the simplest of all attacks, and the fair control of others under the same mask: on
-    painted panels (Ma), or everywhere.
+    It is the simplest of all attacks, and the fair control of others under the same mask.
     """
     srgb = torch.tensor(colour).view(3, 1, 1) / 255
     return _paint(f"plain_{bytes(colour).hex()}", srgb, masked=masked)

@@ -30,24 +30,12 @@ class _Palette(msgspec.Struct):
     colours_srgb: Annotated[list[tuple[_Byte, _Byte, _Byte]], Meta(min_length=2, max_length=256)]
 
 
-def fit_palette(
-    pixels: Float[Tensor, "P 3"], colours: int = 5, *, seed: int
-) -> Float[Tensor, "K 3"]:
-    """Few colours that stand for many pixels, by K-means in CIELAB (section 5.4), best of four
-    starts.
+def fit_palette(pixels: Float[Tensor, "P 3"], colours: int) -> Float[Tensor, "K 3"]:
+    """Few colours that stand for many pixels, by K-means in CIELAB (section 5.4), of four starts.
 
-    In CIELAB equal distances look about equally different, so dark ground keeps its colours.
-
-    Returns:
-        sRGB in [0, 1], rounded to 8 bits, the most frequent colour first.
-
-    Raises:
-        ConfigurationError: fewer than two colours are wanted, or the pixels have fewer.
+    In CIELAB equal distances look about equally different, so dark ground keeps its colours. They
+    are sRGB in [0, 1], rounded to 8 bits, the most frequent first.
     """
-    if colours < 2:
-        raise ConfigurationError(
-            f"A palette expects at least 2 colours, got {colours}; give more colours."
-        )
     distinct = len(torch.unique((pixels * 255).round(), dim=0))
     if distinct < colours:
         raise ConfigurationError(
@@ -58,29 +46,22 @@ def fit_palette(
     from sklearn.cluster import KMeans
 
     points = srgb_to_cielab(pixels.double()).numpy()
-    means = KMeans(colours, n_init=4, random_state=seed % 2**32).fit(points)
+    means = KMeans(colours, n_init=4, random_state=0).fit(points)
     order = np.argsort(-np.bincount(means.labels_, minlength=colours), kind="stable")
     centres = cielab_to_srgb(torch.from_numpy(means.cluster_centers_[order]))
     return ((centres * 255).round() / 255).float()
 
 
-def ground_palette(
-    backgrounds: BackgroundSet, colours: int = 5, *, seed: int = 0
-) -> Float[Tensor, "K 3"]:
+def ground_palette(backgrounds: BackgroundSet, colours: int = 5) -> Float[Tensor, "K 3"]:
     """The colours of the ground in attacks, evenly from all of its tiles, as of `fit_palette`."""
-    generator = generator_of(seed, "palette")
     tiles = max(1, len(backgrounds.tiles("attack")))
     per_tile = min(_PIXELS_PER_TILE, math.ceil(_PIXELS / tiles))
-    pixels = backgrounds.sample_pixels("attack", per_tile, generator=generator)
-    return fit_palette(pixels, colours, seed=seed)
+    pixels = backgrounds.sample_pixels("attack", per_tile, generator=generator_of(0, "palette"))
+    return fit_palette(pixels, colours)
 
 
 def load_palette(path: Path) -> Float[Tensor, "K 3"]:
-    """Reads `[K, 3]` colours from JSON: {"colours_srgb": [[red, green, blue], ...]}, 0 to 255.
-
-    Raises:
-        StoredFileError: the file is missing, of another form, or has not 2 to 256 colours.
-    """
+    """Reads `[K, 3]` colours from JSON: {"colours_srgb": [[red, green, blue], ...]}, 0 to 255."""
     palette: _Palette = read_document(
         Path(path),
         _Palette,

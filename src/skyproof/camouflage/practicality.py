@@ -1,19 +1,31 @@
-"""The practicality of a camouflage: the paper's signs (section 4), and measured quantities."""
+"""The cost of a camouflage on real vehicles: the paper's signs (section 4) and what is measured."""
 
+from collections.abc import Mapping, Sequence
+from statistics import fmean
 from typing import Any
 
+import numpy as np
 import torch
+from jaxtyping import Bool, Float, Int, UInt8
+from scipy import ndimage
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from torch import Tensor
 
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.combination import Combination
-from skyproof.camouflage.constraints import TextureConstraints
 from skyproof.camouflage.displacement import DisplacementMap
-from skyproof.camouflage.measures import mean_measures, measure_shape, measure_texture
+from skyproof.camouflage.name import TextureConstraints
 from skyproof.camouflage.texture import UniversalTexture
-from skyproof.vehicles.vehicle import TEXTURE_SIZE, VehicleBatch
+from skyproof.geometry.intersections import self_intersections
+from skyproof.geometry.meshes import enclosed_volume_m3
+from skyproof.vehicles.texels import texel_metric, texel_regions
+from skyproof.vehicles.vehicle import TEXTURE_SIZE, Part, VehicleBatch
 
 _CRITERIA = ("production_cost", "installation_difficulty", "operation_difficulty")
 """PC, DI and DO; +1 is practical, 0 neither, -1 impractical."""
+
+_BLOCK_REGIONS = ("roof", "bonnet", "sides")
 
 
 def score_practicality(texture: TextureConstraints | None, shape_changed: bool) -> dict[str, Any]:
@@ -25,8 +37,7 @@ def score_practicality(texture: TextureConstraints | None, shape_changed: bool) 
       −: few colours alone save nothing, because the whole vehicle still has to be wrapped.
     - A changed shape is − in all three.
 
-    Returns:
-        The signs of "texture" and "shape", 0 for an original side, and their sum as "total".
+    An original side has 0; "total" is the sum of all signs.
     """
     signs = (0, 0, 0)
     if texture is not None:
@@ -48,10 +59,8 @@ def score_practicality(texture: TextureConstraints | None, shape_changed: bool) 
 def practicality_account(camouflage: Camouflage, vehicles: VehicleBatch) -> dict[str, Any]:
     """Signs and measured quantities of a finished camouflage, means over the vehicles.
 
-    Returns:
-        "name"; "score" as returned by `score_practicality`; "texture" and "shape" with the means of
-        `measure_texture` and `measure_shape`, None for an unchanged side. The shape's
-        "share_self_intersecting" is the share of vehicles with more intersections than as built.
+    An unchanged side has None. A shape's "share_self_intersecting" is the share of vehicles with
+    more intersections than as built.
     """
     parts = [camouflage]
     if isinstance(camouflage, Combination):
@@ -76,3 +85,131 @@ def practicality_account(camouflage: Camouflage, vehicles: VehicleBatch) -> dict
         "texture": texture_means,
         "shape": shape_means,
     }
+
+
+def measure_texture(
+    vehicles: VehicleBatch,
+    texture: Float[Tensor, "3 512 512"] | UInt8[Tensor, "3 512 512"],
+    mask: Bool[Tensor, "N 512 512"] | None,
+    block_px: int | None,
+) -> list[dict[str, float]]:
+    """Measures a universal texture on each vehicle, in its present shape.
+
+    Args:
+        texture: the map, sRGB in [0, 1] or bytes; colours are compared as bytes.
+        mask: cover on each vehicle; None for everything but the underside.
+        block_px: side of a block of Pix in texels; None without Pix.
+
+    Returns:
+        Per vehicle "painted_area_m2" of the covered texels, their different 8-bit "colours",
+        "boundary_m" of all edges between different colours, and "regions" of one colour, connected
+        across edges. With Pix "blocks" that are covered, and their median size around the body (u)
+        and along it (v), such as "block_roof_u_cm"."""
+    painted = worn_texels(vehicles, mask)
+    colour, colours = _numbered_colours(texture)
+    same_right = colour == colour.roll(-1, 1)
+    same_below = colour[:-1] == colour[1:]
+    length_u, length_v, area = texel_metric(vehicles)
+    # A texel and its right neighbour, circular in u, meet along v; with the one below along u.
+    edge_right = (length_v + length_v.roll(-1, 2)) / 2
+    edge_below = (length_u[:, :-1] + length_u[:, 1:]) / 2
+    regions = {} if block_px is None else texel_regions(vehicles)
+    measures = []
+    for i, inside in enumerate(painted):
+        both_right = inside & inside.roll(-1, 1)
+        both_below = inside[:-1] & inside[1:]
+        across = edge_right[i][both_right & ~same_right].double().sum()
+        along = edge_below[i][both_below & ~same_below].double().sum()
+        row = {
+            "painted_area_m2": float(area[i][inside].double().sum()),
+            "colours": int((torch.bincount(colour[inside], minlength=colours) > 0).sum()),
+            "boundary_m": float(across + along),
+            "regions": _count_regions(inside, both_right & same_right, both_below & same_below),
+        }
+        if block_px is not None:
+            blocks = inside.unflatten(1, (-1, block_px)).unflatten(0, (-1, block_px))
+            row["blocks"] = int(blocks.any(3).any(1).sum())
+            for name in _BLOCK_REGIONS:
+                region = regions[name][i]
+                if region.any():
+                    for axis, lengths in (("u", length_u), ("v", length_v)):
+                        texel_m = float(lengths[i][region].median())
+                        row[f"block_{name}_{axis}_cm"] = 100 * block_px * texel_m
+        measures.append(row)
+    return measures
+
+
+@torch.no_grad()
+def measure_shape(before: VehicleBatch, after: VehicleBatch) -> list[dict[str, float]]:
+    """Measures every vehicle of a batch as built and deformed, about 50 ms each.
+
+    The displacement is the largest of a vertex; `self_intersections` counts intersections.
+    """
+    faces = before.template.faces
+    volume, volume_after = (
+        enclosed_volume_m3(batch.vertices, faces).tolist() for batch in (before, after)
+    )
+    moved = (after.vertices - before.vertices).norm(dim=-1).amax(dim=1).tolist()
+    size, size_after = (
+        batch.vertices.amax(dim=1) - batch.vertices.amin(dim=1) for batch in (before, after)
+    )
+    return [
+        {
+            "volume_m3": volume[row],
+            "added_volume_m3": volume_after[row] - volume[row],
+            "largest_displacement_m": moved[row],
+            "added_length_m": length_m,
+            "added_width_m": width_m,
+            "added_height_m": height_m,
+            "intersections_before": self_intersections(before.vertices[row], faces),
+            "intersections_after": self_intersections(after.vertices[row], faces),
+        }
+        for row, (length_m, width_m, height_m) in enumerate((size_after - size).tolist())
+    ]
+
+
+def worn_texels(
+    vehicles: VehicleBatch, mask: Bool[Tensor, "N 512 512"] | None
+) -> Bool[Tensor, "N 512 512"]:
+    """The covered texels of each vehicle, on the CPU; without a mask all but the underside."""
+    return (vehicles.parts != Part.UNDERSIDE if mask is None else mask).cpu()
+
+
+def mean_measures(measures: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Means over the vehicles that have a measure."""
+    columns: dict[str, list[float]] = {}
+    for row in measures:
+        for name, value in row.items():
+            columns.setdefault(name, []).append(value)
+    return {name: fmean(values) for name, values in columns.items()}
+
+
+def _numbered_colours(
+    texture: Float[Tensor, "3 512 512"] | UInt8[Tensor, "3 512 512"],
+) -> tuple[Int[Tensor, "512 512"], int]:
+    """Replaces each 8-bit colour of a texture by a number from 0 on, and counts the colours."""
+    texture = texture.detach().cpu()
+    if texture.dtype != torch.uint8:
+        texture = (texture.clamp(0.0, 1.0) * 255).round()
+    red, green, blue = texture.long()
+    colours, numbered = torch.unique((red * 256 + green) * 256 + blue, return_inverse=True)
+    return numbered, len(colours)
+
+
+def _count_regions(
+    worn: Bool[Tensor, "512 512"],
+    joined_right: Bool[Tensor, "512 512"],
+    joined_below: Bool[Tensor, "511 512"],
+) -> int:
+    """Counts connected areas, in a picture twice as large that alternates texels and joints."""
+    picture = np.zeros((2 * TEXTURE_SIZE - 1, 2 * TEXTURE_SIZE), dtype=bool)
+    picture[::2, ::2] = worn.numpy()
+    picture[::2, 1::2] = joined_right.numpy()
+    picture[1::2, ::2] = joined_below.numpy()
+    labels, count = ndimage.label(picture)
+    # The last column holds the joints across the seam: they tie labels there to the first column.
+    seam = picture[:, -1]
+    ties = coo_array(
+        (np.ones(seam.sum()), (labels[seam, -1] - 1, labels[seam, 0] - 1)), shape=(count, count)
+    )
+    return int(connected_components(ties, directed=False, return_labels=False)) if count else 0

@@ -6,9 +6,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skyproof.camouflage.constraints import TextureConstraints
 from skyproof.camouflage.make import make_camouflage
-from skyproof.camouflage.name import CamouflageName
+from skyproof.camouflage.name import CamouflageName, TextureConstraints
 from skyproof.camouflage.settings import CamouflageSettings
 from skyproof.geometry.colour import cielab_to_srgb, srgb_to_cielab
 from skyproof.vehicles.coats import varied_colours
@@ -34,10 +33,9 @@ _WIDEST_HUE = 20.0
 def wear_random_controls(fleet: Fleet, *, generator: torch.Generator) -> Fleet:
     """Gives vehicles the patterns and shapes that their sources mark, each its own; no attack.
 
-    A "patterned" coat is the random control of one of twelve textures (section 5.4), those in fixed
-    colours all over twice as often; six of fourteen cover painted panels alone. Number and width of
-    blocks and colours vary, and fixed colours spread about a random middle. A "random" shape is
-    that of R-S-O, at a magnitude drawn uniformly from 0.1 to 0.4.
+    A "patterned" coat is the random control of one of twelve textures (section 5.4). Number and
+    width of blocks and colours vary, and fixed colours spread about a random middle. A "random"
+    shape is that of R-S-O, at a magnitude drawn uniformly.
     """
     patterned = _rows(fleet, "coat", "patterned")
     shaped = _rows(fleet, "shape", "random")

@@ -43,10 +43,6 @@ class UniversalTexture(Camouflage):
         palette: `[K, 3]` fixed colours; or the start of an optimised palette or of free cells,
             drawn uniformly without it.
         colours: number of optimised colours without a palette.
-
-    Raises:
-        ConfigurationError: no texture constraints, blocks that do not fit the map, fewer than two
-            colours, or no palette for fixed colours.
     """
 
     learning_rates: Mapping[str, float]
@@ -133,15 +129,11 @@ class UniversalTexture(Camouflage):
         return (self.map().detach().clamp(0, 1) * 255).round().byte()
 
     def mask(self, vehicles: VehicleBatch) -> Tensor | None:
-        """The place of the map, `[N, 512, 512]` bools; None for everywhere.
-
-        Raises:
-            ConfigurationError: no painted part on any of the vehicles.
-        """
+        """The place of the map, `[N, 512, 512]` bools; None for everywhere."""
         if not self.constraints.masked:
             return None
         mask = vehicles.parts == Part.BODY
-        if not bool(mask.any()):
+        if not mask.any():
             raise ConfigurationError(
                 f"The mask of {self.name} covers nothing: {vehicles.ids[0]} and all others of its "
                 "batch have no painted body part; give vehicles whose part map has some, or leave "
@@ -160,13 +152,11 @@ class UniversalTexture(Camouflage):
         """Lowers the temperature, geometrically."""
         if self.restricted and not self.finished:
             share = (step - 1) / max(steps - 1, 1)
-            self.temperature.fill_(
-                _FIRST_TEMPERATURE * (_LAST_TEMPERATURE / _FIRST_TEMPERATURE) ** share
-            )
+            fall = _LAST_TEMPERATURE / _FIRST_TEMPERATURE
+            self.temperature.fill_(_FIRST_TEMPERATURE * fall**share)
 
     @torch.no_grad()
     def project_(self) -> None:
-        """Clips colours to [0, 1]."""
         colours = self.palette if self.restricted else self.cells
         colours.clamp_(0.0, 1.0)
 

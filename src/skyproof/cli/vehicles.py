@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional, Suppress
 
-from skyproof.camouflage.fleets import FleetCounts, draw_fleets
 from skyproof.console import progress_bar, say
 from skyproof.errors import ConfigurationError
 from skyproof.files import finished_folder, refuse_existing, write_json
 from skyproof.ranges import Fraction, Seed, WholeNumber
-from skyproof.vehicles.settings import PaintVariety, WrapSettings
+from skyproof.scenes.splits import SPLITS
+from skyproof.vehicles.settings import CATALOGUE_PAINTS, PaintVariety, VehicleCount, WrapSettings
 
 if TYPE_CHECKING:
-    from skyproof.vehicles.fleet import Fleet
+    from skyproof.vehicles.fleet import Fleet, FleetSettings
     from skyproof.vehicles.wrapping.wrap import WrappedVehicle
+
+FleetCounts = tuple[VehicleCount, VehicleCount, VehicleCount, VehicleCount]
+"""Vehicles of train, validation, attack and test."""
 
 _COLUMNS = {
     "iou_above": "IoU above",
@@ -127,6 +131,37 @@ class Vehicles:
                     f"{report['iou_above']:.3f}, the least is {self.wrapping.minimum_iou}; check "
                     "--wrapping.up and --wrapping.forward."
                 )
+
+
+def draw_fleets(
+    out: Path,
+    counts: FleetCounts,
+    settings: FleetSettings,
+    seed: int,
+    sample: Callable[..., Fleet],
+) -> None:
+    """Writes the four fleets train, validation, attack and test; all of them or nothing.
+
+    The settings' paints and shapes are those of train and validation; attack and test have
+    catalogue paints and their own shapes.
+    """
+    from skyproof.camouflage.random_controls import wear_random_controls
+    from skyproof.randomness import generator_of
+
+    with finished_folder(out) as folder:
+        # Numbers go on from split to split: no vehicle is in two of them.
+        first_number = settings.first_number
+        for split, count in zip(SPLITS, counts, strict=True):
+            chosen = replace(settings, count=count, first_number=first_number)
+            if split not in ("train", "validation"):
+                chosen = replace(chosen, paints=CATALOGUE_PAINTS, shapes=0.0)
+            with progress_bar(f"vehicles {split}") as update:
+                generator = generator_of(seed, "fleet", split)
+                fleet = sample(chosen, generator=generator, progress=update)
+            controls = generator_of(seed, "controls", split)
+            wear_random_controls(fleet, generator=controls).save(folder / split)
+            first_number += count
+    say(f"Fleets of {', '.join(map(str, counts))} vehicles: {out.resolve()}")
 
 
 def _fleet_of(wrapped: dict[str, WrappedVehicle], reports: dict[str, dict[str, Any]]) -> Fleet:

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import tyro
 from tyro.conf import Suppress
 
-from skyproof.camouflage.fleets import FleetCounts, draw_fleets
+from skyproof.cli.vehicles import FleetCounts, draw_fleets
 from skyproof.console import progress_bar, say
 from skyproof.generator.settings import LearnSettings
 from skyproof.ranges import Fraction, Seed, WholeNumber

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from skyproof.camouflage.controls import controls
 from skyproof.camouflage.name import CamouflageName
 from skyproof.reproduction.agreement import (
     correlated,
@@ -99,7 +98,7 @@ def rates_under(
     that the differentiable one does: beside fewer, more would seem to be learnt.
     """
     rates = in_percent(results.row(name, detector, renderer=renderer))
-    wanted = [control for control in controls(name).chosen if results.row(control, detector)]
+    wanted = [control for control in name.chosen_controls if results.row(control, detector)]
     if all(results.row(control, detector, renderer=renderer) for control in wanted):
         return rates
     return rates | {key: None for key in rates if "strongest_control" in key}

@@ -12,7 +12,6 @@ import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.lines import Line2D
 
-from skyproof.camouflage.controls import controls
 from skyproof.camouflage.name import CamouflageName
 from skyproof.report.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, STYLE, as_files
 from skyproof.reproduction.cells import (
@@ -83,7 +82,7 @@ def _classes(
 
     Nothing where ground, vehicles or the camouflage are missing or too few.
     """
-    plain = controls(name).plain_paint
+    plain = name.chosen_controls[0]
     wanted = [GROUND, ORIGINAL, str(name), str(name.control), str(plain)]
     found = {
         shown: each

@@ -4,9 +4,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from skyproof.attacks.settings import AttackSettings
-from skyproof.camouflage.constraints import TextureConstraints
-from skyproof.camouflage.controls import chosen_controls, controls
-from skyproof.camouflage.name import IN_WEATHER, CamouflageName, Order
+from skyproof.camouflage.name import (
+    IN_WEATHER,
+    CamouflageName,
+    Order,
+    TextureConstraints,
+    chosen_controls,
+)
 from skyproof.cli.attack import BEST_OF
 from skyproof.reproduction.preset import Preset
 from skyproof.scenes.weather import CONDITIONS
@@ -170,7 +174,7 @@ class Jobs:
         headlines = [CamouflageName.parse(text) for text in preset.cycles_headlines]
         wanted = {*headlines}
         for name in headlines:
-            wanted |= {name.control, *controls(name).chosen}
+            wanted |= {name.control, *name.chosen_controls}
 
         def has(name: CamouflageName) -> bool:
             if name.choice is not None:
@@ -202,7 +206,7 @@ class Jobs:
         preset = self._preset
         shapes: dict[str, list[str]] = {}
         for job in self.attacks.values() if preset.best_of else ():
-            control = controls(job.name).random_shape
+            control = job.name.random_shape
             if control is None or job.name.variant:
                 continue
             if control.magnitude != preset.ladder_magnitude:
@@ -217,8 +221,8 @@ class Jobs:
         """The first repeat of each, the first draw of its control, and the best plain paint."""
         for text in self._preset.features:
             name = CamouflageName.parse(text)
-            beside = controls(name)
-            names = (name.with_repeat(0), beside.random.with_repeat(0), beside.plain_paint)
+            plain, *_ = name.chosen_controls
+            names = (name.with_repeat(0), name.control.with_repeat(0), plain)
             yield from map(str, names)
 
     def _batched(

@@ -16,8 +16,8 @@ from PIL import Image
 from torch import Tensor
 
 from skyproof.camouflage.folder import load_camouflage
-from skyproof.camouflage.measures import worn_texels
 from skyproof.camouflage.name import CamouflageName
+from skyproof.camouflage.practicality import worn_texels
 from skyproof.camouflage.texture import UniversalTexture
 from skyproof.console import progress_bar, say
 from skyproof.datasets.dataset import Dataset

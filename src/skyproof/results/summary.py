@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from skyproof.camouflage.controls import controls
 from skyproof.camouflage.name import CamouflageName
 from skyproof.results.pairs.counts import OutcomeCounts, Series
 from skyproof.results.pairs.outcomes import MATCHES, ORIGINAL
@@ -118,7 +117,7 @@ class _Table:
         ap, alarms = "average_precision", "false_alarms_per_km2"
         ap_original = self._mean([ORIGINAL], detectors, ap)
         ap_adversarial = self._mean(members, detectors, ap)
-        shape = controls(name).random_shape
+        shape = name.random_shape
         untested = label == MEAN or name.random
         return Result(
             camouflage=name,
@@ -140,7 +139,7 @@ class _Table:
             false_alarms_per_km2_original=self._mean([ORIGINAL], detectors, alarms),
             false_alarms_per_km2_adversarial=self._mean(members, detectors, alarms),
             random=None if name.random else beside.contrast(name.control),
-            strongest=None if name.random else beside.strongest(controls(name).chosen),
+            strongest=None if name.random else beside.strongest(name.chosen_controls),
             drawn_shape=None if shape is None else beside.contrast(shape),
             no_camouflage_p=None if untested else unchanged_p(totals),
         )
