@@ -30,8 +30,8 @@ from skyproof.detectors.weights import plain_state
 from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError
 from skyproof.layout import Layout
+from skyproof.reproduction.plan import reproduction_plan
 from skyproof.reproduction.preset import Preset
-from skyproof.reproduction.workflow import reproduction_plan
 from skyproof.results.findings import findings, verdict
 from skyproof.results.precheck import read_precheck
 from skyproof.results.stored import read_environment

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from skyproof.assessment.run import Step
 from skyproof.camouflage.name import CamouflageName
 from skyproof.cli.ground import Ground
 from skyproof.errors import ConfigurationError, RunFolderError
@@ -20,10 +21,10 @@ from skyproof.main import run
 from skyproof.ranges import Fraction
 from skyproof.reproduction.__main__ import COMMANDS
 from skyproof.reproduction.jobs import Jobs
-from skyproof.reproduction.plan import Plan, command_step
+from skyproof.reproduction.plan import Plan, plan_of_run, reproduction_plan
 from skyproof.reproduction.preset import PRESETS, Preset, read_preset
 from skyproof.reproduction.snakemake import SNAKEFILE, output_of, shell_line
-from skyproof.reproduction.workflow import plan_of_run, reproduction_plan
+from skyproof.reproduction.steps import command_step
 from skyproof.reproduction.world import WorldSizes
 from skyproof.scenes.weather import CONDITIONS
 
@@ -369,38 +370,35 @@ def whole_plan(preset, cycles):
 @pytest.mark.parametrize("preset", PRESETS)
 def test_every_step_comes_after_what_it_needs(preset):
     steps = whole_plan(preset, True).steps
-    made = {output for step in steps for output in step.outputs}
-    needed = {path for step in steps for path in step.inputs}
-    assert needed <= made
+    made = set()
+    needed = set()
+    for step in steps:
+        assert set(step.inputs) <= made
+        made |= set(step.outputs)
+        needed |= set(step.inputs)
     # What nothing needs is what the user reads.
     assert made - needed == set(steps[-1].outputs)
 
 
-@dataclass(frozen=True)
-class Nothing:
-    def run(self):
-        pass
+def step(name, outputs, settings=None, **more):
+    return Step("kind", name, tuple(outputs), print, settings or {}, **more)
 
 
-def step(name, inputs=(), outputs=(), **more):
-    return command_step("kind", name, Nothing(), tuple(inputs), tuple(outputs), **more)
-
-
-def test_a_plan_in_the_wrong_order_is_refused():
-    first = step("first", outputs=[Path("a")])
-    second = step("second", inputs=[Path("a")])
-    Plan([first, second])
-    with pytest.raises(RunFolderError, match="kind/second needs a"):
-        Plan([second, first])
-    with pytest.raises(RunFolderError, match="kind/first"):
-        Plan([first, first])
+def test_a_step_needs_what_its_settings_name():
+    texture = step("texture", [Path("camouflages/T-U/camouflage.json")], growing=True)
+    fleets = step("fleets", [Path("fleets")])
+    named = {"camouflages": (Path("camouflages/T-U"),), "fleet": Path("fleets/test")}
+    score = step("score", [Path("scores")], named | {"out": Path("scores"), "seed": 0})
+    assert Plan([texture, fleets, score]).steps[-1].inputs == (*texture.outputs, *fleets.outputs)
+    with pytest.raises(RunFolderError, match="kind/fleets"):
+        Plan([fleets, fleets])
 
 
 def test_finished_is_what_left_its_outputs(tmp_path):
     needed = tmp_path / "needed"
     outputs = [tmp_path / "one", tmp_path / "two"]
-    kept = step("kept", [needed], outputs)
-    renewed = step("renewed", [needed], outputs, renewed=True)
+    kept = step("kept", outputs, inputs=(needed,))
+    renewed = step("renewed", outputs, inputs=(needed,), renewed=True)
     outputs[0].touch()
     assert not kept.is_finished()
     outputs[1].touch()
@@ -629,7 +627,7 @@ def test_a_plan_refuses_what_a_later_step_would_refuse():
             raise AssertionError
 
     with pytest.raises(ConfigurationError, match="share expects"):
-        Plan([command_step("late", "late", Late(), (), (Path("x"),))])
+        command_step("late", "late", Late(), Path("x"))
 
 
 def test_a_config_key_that_no_run_has_is_one_sentence():

@@ -15,9 +15,9 @@ import pytest
 
 from skyproof.errors import ConfigurationError, RunFolderError
 from skyproof.files import alone
+from skyproof.reproduction.plan import reproduction_plan
 from skyproof.reproduction.preset import Preset
 from skyproof.reproduction.slurm import check_slurm
-from skyproof.reproduction.workflow import reproduction_plan
 from tests.barely_trained import count_everything
 from tests.reproduction.test_end_to_end import checkpointed_step, kill
 

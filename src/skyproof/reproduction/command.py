@@ -74,9 +74,9 @@ class Reproduce:
             stored_tables,
         )
         from skyproof.reproduction.layout import PaperLayout
+        from skyproof.reproduction.plan import reproduction_plan
         from skyproof.reproduction.preset import read_preset
         from skyproof.reproduction.slurm import wait_for_earlier_jobs
-        from skyproof.reproduction.workflow import reproduction_plan
 
         name, path, values, preset = read_preset(self.preset)
         count = self._side_by_side()
@@ -232,7 +232,7 @@ class OneStep:
 
     def run(self) -> None:
         """Does the step, whether or not it is finished."""
-        from skyproof.reproduction.workflow import plan_of_run
+        from skyproof.reproduction.plan import plan_of_run
 
         steps = plan_of_run(self.device, self.blender).steps
         step = next((step for step in steps if step.id == self.name), None)

@@ -42,11 +42,6 @@ class AttackJob:
     conditions: tuple[str, ...] = ("clear",)
 
     @property
-    def images(self) -> float:
-        """The number of images it takes, as `AttackSettings.images` counts them."""
-        return self.settings.images(self.name, self.best_of) * len(self.detectors)
-
-    @property
     def folders(self) -> tuple[str, ...]:
         """The folders to score, relative to `camouflages/`: its own and its kept copies."""
         return (str(self.name), *(f"{self.name}/snapshots/{name}" for name in self.kept))

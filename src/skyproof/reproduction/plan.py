@@ -1,89 +1,47 @@
-"""A plan is a list of named steps, with the files that each needs and leaves."""
+"""The plan of a reproduction: every attack of the paper with its random controls, scored by all."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from importlib import import_module
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol
+from types import MappingProxyType
+from typing import Any
 
 from skyproof.assessment.run import Step
+from skyproof.cycles.settings import Rendering
+from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError, RunFolderError
-from skyproof.ranges import check_ranges
+from skyproof.reproduction.held_out_detectors import stored_tables
+from skyproof.reproduction.jobs import Jobs
+from skyproof.reproduction.layout import PaperLayout
+from skyproof.reproduction.preset import Preset
+from skyproof.reproduction.steps import Steps
+from skyproof.reproduction.world import RENDERED, Rendered
+from skyproof.seeds import next_seed
 
 _MOST_STEPS = 20_000
 
 
-class Command(Protocol):
-    """Settings of a command: a frozen dataclass, as the command line parses it."""
-
-    def run(self) -> None:
-        """Does the work."""
-        ...
-
-
-def command_step(
-    kind: str,
-    name: str,
-    command: Command,
-    inputs: tuple[Path, ...],
-    outputs: tuple[Path, ...],
-    **more: Any,
-) -> Step:
-    """Returns a step that one command does.
-
-    Raises:
-        ConfigurationError: a setting is out of its range, which shows before anything is made.
-    """
-    check_ranges(command)
-    return Step(kind, name, outputs, command.run, command, inputs, **more)
-
-
-def function_step(
-    kind: str,
-    name: str,
-    function: str,
-    arguments: Mapping[str, Any],
-    inputs: tuple[Path, ...],
-    outputs: tuple[Path, ...],
-    device: str | None = None,
-    **more: Any,
-) -> Step:
-    """Returns a step that one function does, a "module:name" of this room.
-
-    Its arguments are the step's settings; the device is none, because it decides no results. The
-    module is imported when the step is done.
-    """
-    given = arguments if device is None else {**arguments, "device": device}
-
-    def work() -> None:
-        module, _, wanted = function.partition(":")
-        getattr(import_module(f"skyproof.reproduction.{module}"), wanted)(**given)
-
-    return Step(kind, name, outputs, work, arguments, inputs, **more)
-
-
 class Plan:
-    """The steps of a run, each after those whose files it needs.
+    """The steps of a run, in the order in which one process does them.
+
+    A step needs what earlier steps leave in the places that its settings name, beside the inputs
+    that it comes with.
 
     Attributes:
-        steps: in the order in which one process does them.
+        steps: with all their inputs.
         threads: CPU threads of each step, if steps run side by side.
         resources: resources on a cluster of each step that computes much: gpu, mem_mb, runtime
             (minutes).
 
     Raises:
         ConfigurationError: there are too many steps.
-        RunFolderError: two steps of one name, or a step that needs an output of a later one.
+        RunFolderError: two steps have one name.
     """
 
     def __init__(
-        self,
-        steps: Sequence[Step],
-        *,
-        threads: int = 1,
-        resources: Mapping[str, int] | None = None,
+        self, steps: Sequence[Step], threads: int = 1, resources: Mapping[str, int] | None = None
     ) -> None:
-        self.steps = tuple(steps)
         self.threads = threads
         self.resources = dict(resources or {})
         if len(steps) > _MOST_STEPS:
@@ -94,16 +52,13 @@ class Plan:
         repeated = [name for name, count in Counter(step.id for step in steps).items() if count > 1]
         if repeated:
             raise RunFolderError(f"Two steps of the plan are called {repeated[0]}; rename one.")
-        self._made_by = {output: step for step in steps for output in step.outputs}
-        made: set[Path] = set()
+        left: dict[Path, Path] = {}
+        linked = []
         for step in steps:
-            early = [path for path in step.inputs if path in self._made_by and path not in made]
-            if early:
-                raise RunFolderError(
-                    f"The step {step.id} needs {early[0]}, which only {self._made_by[early[0]].id} "
-                    "leaves; put that step first."
-                )
-            made |= set(step.outputs)
+            inputs = (*step.inputs, *(left[path] for path in _named(step) if path in left))
+            linked.append(replace(step, inputs=tuple(dict.fromkeys(inputs))))
+            left |= dict(zip(step.places, step.outputs, strict=True))
+        self.steps = tuple(linked)
 
     @property
     def waiting(self) -> dict[str, int]:
@@ -112,12 +67,13 @@ class Plan:
         The step with the most comes first if steps run side by side: nothing else can be done while
         a detector is trained that all attacks need.
         """
+        made_by = {output: step.id for step in self.steps for output in step.outputs}
         # One bit for each step that waits.
         waiting = dict.fromkeys((step.id for step in self.steps), 0)
         for number, step in reversed([*enumerate(self.steps)]):
             for path in step.inputs:
-                if path in self._made_by:
-                    waiting[self._made_by[path].id] |= waiting[step.id] | 1 << number
+                if path in made_by:
+                    waiting[made_by[path]] |= waiting[step.id] | 1 << number
         return {step: bits.bit_count() for step, bits in waiting.items()}
 
     @property
@@ -126,3 +82,144 @@ class Plan:
         counts = Counter(step.kind for step in self.steps)
         listed = ", ".join(f"{kind} {count}" for kind, count in counts.items())
         return f"{len(self.steps)} steps ({listed})"
+
+
+def _named(step: Step) -> Iterator[Path]:
+    """The paths that a step's settings name, each with the folders around it."""
+    settings = step.settings if isinstance(step.settings, Mapping) else vars(step.settings)
+    for value in settings.values():
+        for path in value if isinstance(value, tuple) else (value,):
+            if isinstance(path, Path):
+                yield from (path, *path.parents)
+
+
+def plan_of_run(device: str = "auto", blender: Path | str | None = None, **others: object) -> Plan:
+    """Returns the plan of the run in the current folder, as its `config.json` has it.
+
+    The held-out detectors are those that lie in the folder. Device and Blender may change from call
+    to call.
+
+    Raises:
+        ConfigurationError: a setting is missing, unknown, or cannot be.
+        StoredFileError: there is no `config.json`, or it is damaged.
+    """
+    if others:
+        raise ConfigurationError(
+            f"Snakemake's --config takes device and blender, got {', '.join(others)}; leave it out."
+        )
+    layout = PaperLayout(Path())
+    values: dict[str, Any] = read_document(
+        layout.config, dict[str, Any], "copy the preset there, or give another folder"
+    )
+    return reproduction_plan(
+        Preset.parse(values, "The run's config.json"),
+        layout.folder,
+        device=device,
+        blender=Path(blender) if blender else None,
+        held_out=stored_tables(layout),
+    )
+
+
+def reproduction_plan(
+    preset: Preset,
+    folder: Path,
+    *,
+    device: str = "auto",
+    blender: Path | None = None,
+    held_out: Mapping[str, Sequence[str]] = MappingProxyType({}),
+) -> Plan:
+    """Returns a preset, expanded to steps.
+
+    Args:
+        preset: settings of the reproduction.
+        folder: the run folder, as the steps are to name it.
+        device: auto, cpu or cuda.
+        blender: Blender that draws the Cycles column; None for a plan without it.
+        held_out: held-out detectors by table.
+    """
+    layout = PaperLayout(folder)
+    jobs = Jobs(preset)
+    make = Steps(preset, layout, device)
+    cycles = None
+    if blender is not None:
+        cycles = Rendering(renderer="cycles", blender=blender, workers=preset.threads)
+
+    trained = [name for name in preset.detectors if name not in preset.reference]
+    splits: tuple[Rendered, ...] = (*(RENDERED if trained else ("test",)), "empty")
+    steps = [make.ground(), make.fleets(), *map(make.scenes, splits), *map(make.render, splits)]
+    steps += [make.train(name, preset.seed) for name in trained]
+    checked = trained if preset.check_scenes else []
+    if checked:
+        steps.append(make.precheck(checked))
+    steps.append(make.controls(jobs.controls))
+    steps += map(make.attack, (*jobs.attacks.values(), *jobs.chosen.values()))
+    steps += [make.controls(names, texture) for texture, names in jobs.shapes.items()]
+    if cycles:
+        steps.append(make.render("test", cycles))
+    if jobs.weather_batches:
+        steps += [make.scenes("weather"), make.render("weather")]
+
+    scores = [*_score_steps(make, jobs, layout, cycles, held_out)]
+    if jobs.looked_at:
+        scores.append(make.looks(jobs.looked_at))
+    if jobs.featured:
+        scores.append(make.features(jobs.featured))
+    steps += scores
+    for number in range(1, preset.trainings):
+        further = [*_training_steps(preset, jobs, layout, number, device)]
+        steps += further
+        scores += [step for step in further if step.kind == "score"]
+    steps.append(make.report(scores, checked))
+    return Plan(steps, preset.threads, preset.resources.asked())
+
+
+def _score_steps(
+    make: Steps,
+    jobs: Jobs,
+    layout: PaperLayout,
+    cycles: Rendering | None,
+    held_out: Mapping[str, Sequence[str]],
+) -> Iterator[Step]:
+    """The scores of the attacked detectors, of the held-out ones, and those in weather."""
+    own = ("", layout, make.detectors, jobs.batches)
+    tables = {table: layout.table(table) for table in held_out}
+    others = [
+        # No table's name has a dot, so that no two steps have one name.
+        (f"judges.{table}.", its, tuple(map(its.detector, held_out[table])), jobs.held_out_batches)
+        for table, its in tables.items()
+    ]
+    for prefix, out, detectors, batches in (own, *others):
+        for name, folders in batches.items():
+            first = not prefix and name == "000"
+            yield make.score(name, folders, detectors, out, prefix=prefix, empty=first)
+        if cycles is not None:
+            for name, folders in jobs.cycles_batches.items():
+                name = f"cycles-{name}"
+                yield make.score(name, folders, detectors, out, prefix=prefix, rendering=cycles)
+    for name, folders in jobs.weather_batches.items():
+        yield make.score(
+            name, folders, make.detectors, layout.weather, prefix="weather-", split="weather"
+        )
+
+
+def _training_steps(
+    preset: Preset, jobs: Jobs, layout: PaperLayout, number: int, device: str
+) -> Iterator[Step]:
+    """The steps of one more training, from detectors to scores.
+
+    Detectors learn from the same images by the same recipe, and attacks go as they went on the
+    run's own detectors, but all from other seeds. Random controls are drawn once for all trainings.
+    """
+    make = Steps(preset, layout, device, number)
+    steps = [make.train(name, next_seed(preset.seed, number)) for name in preset.detectors]
+    repeats = max([preset.repeats, *preset.texture_repeats.values()])
+    for job in jobs.repeated:
+        # Every repeat on every training has a seed of its own.
+        seed = next_seed(job.settings.seed, number * repeats)
+        settings = replace(job.settings, seed=seed, keep_at=())
+        steps.append(make.attack(replace(job, settings=settings, kept=())))
+    out = layout.training(number)
+    for name, folders in jobs.repeated_batches.items():
+        steps.append(make.score(name, folders, make.detectors, out))
+    for step in steps:
+        yield replace(step, name=f"training-{number}-{step.name}")

@@ -1,7 +1,8 @@
-"""The steps of a reproduction: the command of each, the files that it needs, and its outputs."""
+"""The steps of a reproduction: the command of each, and what it leaves."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +20,9 @@ from skyproof.cycles.settings import Rendering
 from skyproof.detectors.settings import TRAINING_PRESETS
 from skyproof.imagery.settings import tiling_for_images
 from skyproof.layout import Layout
+from skyproof.ranges import check_ranges
 from skyproof.reproduction.jobs import AttackJob
 from skyproof.reproduction.layout import PaperLayout
-from skyproof.reproduction.plan import command_step, function_step
 from skyproof.reproduction.preset import Preset
 from skyproof.reproduction.world import MOST_SCENES, Rendered
 from skyproof.scenes.splits import Split
@@ -39,8 +40,39 @@ _PRECHECK_CHANGES = 62
 """Changes that a precheck tries on every scene, but for random controls."""
 _PRECHECK_CONTROLS = 6
 _TORCH = Rendering()
-_SCENES = "samples:draw_scenes"
-_FEATURES = "gather_features:store_features"
+
+
+def command_step(kind: str, name: str, command: Any, *outputs: Path, **more: Any) -> Step:
+    """Returns a step that one command does; its output is the command's `out` if not said.
+
+    Raises:
+        ConfigurationError: a setting is out of its range, which shows before anything is made.
+    """
+    check_ranges(command)
+    return Step(kind, name, outputs or (command.out,), command.run, command, **more)
+
+
+def _function_step(
+    kind: str,
+    name: str,
+    function: str,
+    settings: Mapping[str, Any],
+    *outputs: Path,
+    device: str | None = None,
+    **more: Any,
+) -> Step:
+    """Returns a step that one function does, a "module:name" of this room.
+
+    Its arguments are the settings and, if it takes one, the device, which decides no results. The
+    module is imported when the step is done.
+    """
+    arguments = settings if device is None else {**settings, "device": device}
+
+    def work() -> None:
+        module, _, wanted = function.partition(":")
+        getattr(import_module(f"skyproof.reproduction.{module}"), wanted)(**arguments)
+
+    return Step(kind, name, outputs or (settings["out"],), work, settings, **more)
 
 
 class Steps:
@@ -68,45 +100,44 @@ class Steps:
 
     def ground(self) -> Step:
         """Draws ground."""
-        sizes, out = self._sizes, self._run.backgrounds
+        sizes = self._sizes
         tiling = tiling_for_images(sizes.image_px, gsd_m=sizes.gsd_m, imagery=False)
         command = Ground(
-            out=out,
+            out=self._run.backgrounds,
             tiles=sizes.tiles,
             blur_sigma_px=self._preset.blur_sigma_px,
             seed=self._preset.seed,
             tiling=tiling,
         )
         effort_s = START_S + _GROUND_S * sum(sizes.tiles) * tiling.size_px**2 / 1e6
-        return command_step("ground", "ground", command, (), (out,), effort_s=effort_s)
+        return command_step("ground", "ground", command, effort_s=effort_s)
 
     def fleets(self) -> Step:
         """Draws the four fleets."""
-        sizes, out = self._sizes, self._run.fleets
+        sizes = self._sizes
         command = Vehicles(
-            out=out,
+            out=self._run.fleets,
             counts=sizes.vehicles,
             seed=self._preset.seed,
             paints=sizes.paints,
             shapes=sizes.shapes,
         )
         effort_s = START_S + _VEHICLE_S * sum(sizes.vehicles)
-        return command_step("vehicles", "fleets", command, (), (out,), effort_s=effort_s)
+        return command_step("vehicles", "fleets", command, effort_s=effort_s)
 
     def scenes(self, split: Rendered) -> Step:
         """Draws the scenes of a split."""
-        run, ground = self._run, _ground_of(split)
-        arguments = {
-            "backgrounds": run.backgrounds,
-            "fleet": run.fleets / ground,
-            "out": run.scenes(split),
+        ground = _ground_of(split)
+        settings = {
+            "backgrounds": self._run.backgrounds,
+            "fleet": self._run.fleets / ground,
+            "out": self._run.scenes(split),
             "split": ground,
             "count": self._count(split),
             "settings": self._sizes.scenes(split),
             "seed": self._preset.seed,
         }
-        outputs = (run.scenes(split),)
-        return function_step("scenes", split, _SCENES, arguments, self._world(), outputs)
+        return _function_step("scenes", split, "samples:draw_scenes", settings)
 
     def render(self, split: Rendered, rendering: Rendering = _TORCH) -> Step:
         """Renders a split without camouflage."""
@@ -120,77 +151,57 @@ class Steps:
             out=run.dataset(name),
             device=self._device,
         )
-        return command_step(
-            "render",
-            name,
-            command,
-            self._world(run.scenes(split)),
-            (run.dataset(name),),
-            extra=rendering.renderer == "cycles",
-            effort_s=self._effort_s(_RENDER_S[rendering.renderer], self._count(split)),
-        )
+        effort_s = self._effort_s(_RENDER_S[rendering.renderer], self._count(split))
+        extra = rendering.renderer == "cycles"
+        return command_step("render", name, command, extra=extra, effort_s=effort_s)
 
     def train(self, name: str, seed: int) -> Step:
         """Trains one detector on the rendered images."""
-        preset, run, own = self._preset, self._run, self._own
+        preset = self._preset
         changes = preset.training.get(name, {})  # type: ignore[call-overload]
         command = Train(
             detector=name,
-            data=run.dataset("train"),
-            validation=run.dataset("validation"),
-            out=own.detector(name),
+            data=self._run.dataset("train"),
+            validation=self._run.dataset("validation"),
+            out=self._own.detector(name),
             size=preset.size,
             settings=changes,
             seed=seed,
             device=self._device,
         )
         settings = replace(TRAINING_PRESETS[name, preset.size], **changes)
-        return command_step(
-            "train",
-            name,
-            command,
-            (run.dataset("train"), run.dataset("validation")),
-            (own.detector(name) / "detector.json",),
-            growing=True,
-            effort_s=self._effort_s(_TRAIN_S, settings.steps * settings.batch_size),
-        )
+        effort_s = self._effort_s(_TRAIN_S, settings.steps * settings.batch_size)
+        card = command.out / "detector.json"
+        return command_step("train", name, command, card, growing=True, effort_s=effort_s)
 
     def precheck(self, names: Sequence[str]) -> Step:
         """Prechecks the detectors of these names."""
-        preset, run, own = self._preset, self._run, self._own
-        detectors = tuple(map(own.detector, names))
+        preset, own = self._preset, self._own
         scenes = min(preset.check_scenes, self._sizes.test_images)
         command = Precheck(
             **self._test,
-            detectors=detectors,
-            scenes=run.scenes("test"),
+            detectors=tuple(map(own.detector, names)),
+            scenes=self._run.scenes("test"),
             scenes_count=scenes,
             draws=preset.draws,
             seed=preset.seed,
             device=self._device,
         )
         images = scenes * (1 + _PRECHECK_CHANGES + _PRECHECK_CONTROLS * preset.draws)
-        return command_step(
-            "check",
-            "detectors",
-            command,
-            self._world(run.scenes("test"), detectors=detectors),
-            tuple(map(own.precheck, names)),
-            effort_s=self._effort_s(_RENDER_S["torch"] + _DETECT_S * len(names), images),
-        )
+        effort_s = self._effort_s(_RENDER_S["torch"] + _DETECT_S * len(names), images)
+        outputs = map(own.precheck, names)
+        return command_step("check", "detectors", command, *outputs, effort_s=effort_s)
 
     def attack(self, job: AttackJob) -> Step:
         """Optimises or chooses one camouflage."""
         run, own, name = self._run, self._own, str(job.name)
-        texture = own.camouflage(job.texture) if job.texture else None
-        detectors = tuple(map(own.detector, job.detectors))
         command = Attack(
             names=(name,),
             out=own.camouflages,
-            detectors=detectors,
+            detectors=tuple(map(own.detector, job.detectors)),
             backgrounds=run.backgrounds,
             fleet=run.fleets / "attack",
-            texture=texture,
+            texture=own.camouflage(job.texture) if job.texture else None,
             image_px=self._preset.attack_image_px,
             conditions=job.conditions,
             places=self._sizes.test_places,
@@ -198,45 +209,35 @@ class Steps:
             settings=job.settings,
             device=self._device,
         )
-        megapixels = job.images * self._preset.attack_image_px**2 / 1e6
-        return command_step(
-            "choose" if job.name.choice else "attack",
-            name,
-            command,
-            self._world(detectors=detectors, camouflages=[texture] if texture else []),
-            (own.camouflage(name) / "camouflage.json",),
-            growing=True,
-            effort_s=START_S + _ATTACK_S * megapixels,
-        )
+        images = job.settings.images(job.name, job.best_of) * len(job.detectors)
+        megapixels = images * self._preset.attack_image_px**2 / 1e6
+        kind = "choose" if job.name.choice else "attack"
+        return self._camouflages(kind, name, command, _ATTACK_S * megapixels)
 
     def controls(self, names: Sequence[str], texture: str | None = None) -> Step:
         """Draws random controls, or random shapes on the texture of a finished camouflage."""
-        run, own = self._run, self._own
-        under = own.camouflage(texture) if texture else None
         command = Attack(
             names=tuple(names),
-            out=own.camouflages,
-            backgrounds=run.backgrounds,
-            texture=under,
+            out=self._own.camouflages,
+            backgrounds=self._run.backgrounds,
+            texture=self._own.camouflage(texture) if texture else None,
             settings=AttackSettings(seed=self._preset.seed),
         )
-        return command_step(
-            "control",
-            f"shapes-{texture}" if texture else "random",
-            command,
-            (run.backgrounds, *([under / "camouflage.json"] if under else [])),
-            tuple(own.camouflage(name) / "camouflage.json" for name in names),
-            growing=True,
-            effort_s=START_S + _CONTROL_S * len(names),
-        )
+        name = f"shapes-{texture}" if texture else "random"
+        return self._camouflages("control", name, command, _CONTROL_S * len(names))
+
+    def _camouflages(self, kind: str, name: str, command: Attack, work_s: float) -> Step:
+        outputs = [command.out / each / "camouflage.json" for each in command.names]
+        effort_s = START_S + work_s
+        return command_step(kind, name, command, *outputs, growing=True, effort_s=effort_s)
 
     def score(
         self,
         name: str,
         camouflages: Sequence[str],
-        *,
         detectors: Sequence[Path],
         out: Layout,
+        *,
         prefix: str = "",
         split: Rendered = "test",
         rendering: Rendering = _TORCH,
@@ -255,67 +256,67 @@ class Steps:
             empty: whether false alarms are also counted on ground without vehicles.
         """
         run = self._run
-        original = run.dataset(_rendered(split, rendering))
-        grounds = [run.dataset("empty")] if empty else []
+        grounds = (run.dataset("empty"),) if empty else ()
         command = Score(
             **vars(rendering),
             **self._test,
             detectors=tuple(detectors),
             out=out.score(name),
-            original=original,
+            original=run.dataset(_rendered(split, rendering)),
             camouflages=tuple(map(self._camouflage, camouflages)),
             frames=tuple(f"ground without vehicles={e}@{self._sizes.gsd_m}" for e in grounds),
             frame_classes=("vehicle",) if empty else ("car", "minibus"),
             seed=self._preset.seed,
             device=self._device,
         )
-        # Copies kept on the way lie inside the folder of their attack.
-        attacks = dict.fromkeys(folder.partition("/")[0] for folder in camouflages)
         each_s = _RENDER_S[rendering.renderer] + _DETECT_S * len(detectors)
         return command_step(
             "score",
             f"{prefix}{name}",
             command,
-            self._world(
-                original,
-                *grounds,
-                detectors=detectors,
-                camouflages=[self._camouflage(attack) for attack in attacks],
-            ),
-            (out.score(name),),
+            inputs=grounds,
             extra=rendering.renderer == "cycles",
             effort_s=self._effort_s(each_s, self._count(split) * (1 + len(camouflages))),
         )
 
     def looks(self, names: Sequence[str]) -> Step:
         """Measures what camouflages look like."""
-        arguments = {"out": self._run.looks, **self._on_test_scenes(names)}
+        settings = {"out": self._run.looks, **self._on_test_scenes(names)}
         effort_s = 2 * START_S + _LOOK_S * len(names)
-        return self._shown("looks", "measure_looks:write_looks", arguments, effort_s)
+        return _function_step(
+            "looks", "looks", "measure_looks:write_looks", settings, effort_s=effort_s
+        )
 
     def features(self, names: Sequence[str]) -> Step:
         """Stores the attacked detectors' features."""
-        arguments = {
+        settings = {
             "out": self._run.features,
             "detectors": self.detectors,
             "seed": self._preset.seed,
             **self._on_test_scenes(names),
         }
         images = min(self._sizes.test_images, MOST_SCENES) * len(names)
-        effort_s = self._effort_s(_RENDER_S["torch"], images)
-        return self._shown("features", _FEATURES, arguments, effort_s, self._device)
+        return _function_step(
+            "features",
+            "features",
+            "gather_features:store_features",
+            settings,
+            device=self._device,
+            effort_s=self._effort_s(_RENDER_S["torch"], images),
+        )
 
     def report(self, scores: Sequence[Step], checked: Sequence[str]) -> Step:
         """Merges all scores and writes the report."""
         run = self._run
-        prechecks = [run.precheck(name) for name in checked]
-        return function_step(
+        read = [*map(run.precheck, checked), *(path for step in scores for path in step.outputs)]
+        return _function_step(
             "report",
             "report",
             "report:write_paper_report",
             {"out": run.folder},
-            (*prechecks, *(folder for step in scores for folder in step.outputs)),
-            (run.results, run.report),
+            run.results,
+            run.report,
+            inputs=tuple(read),
             renewed=True,
             effort_s=2 * START_S,
         )
@@ -323,33 +324,6 @@ class Steps:
     def _on_test_scenes(self, names: Sequence[str]) -> dict[str, Any]:
         camouflages = tuple(map(self._own.camouflage, names))
         return {"original": self._run.dataset("test"), "camouflages": camouflages, **self._test}
-
-    def _shown(
-        self,
-        kind: str,
-        function: str,
-        arguments: dict[str, Any],
-        effort_s: float,
-        device: str | None = None,
-    ) -> Step:
-        needed = {key: arguments.get(key, ()) for key in ("detectors", "camouflages")}
-        inputs = self._world(arguments["original"], **needed)
-        outputs = (arguments["out"],)
-        return function_step(
-            kind, kind, function, arguments, inputs, outputs, device, effort_s=effort_s
-        )
-
-    def _world(
-        self, *more: Path, detectors: Sequence[Path] = (), camouflages: Sequence[Path] = ()
-    ) -> tuple[Path, ...]:
-        """The files that a step needs: ground, vehicles, and these."""
-        return (
-            self._run.backgrounds,
-            self._run.fleets,
-            *more,
-            *(folder / "detector.json" for folder in detectors),
-            *(folder / "camouflage.json" for folder in camouflages),
-        )
 
     def _camouflage(self, folder: str) -> Path:
         """A camouflage's folder; random controls are the same for every training."""
