@@ -48,7 +48,7 @@ def stub_blender(monkeypatch: pytest.MonkeyPatch, found: Path | None) -> list[Pa
             raise ConfigurationError("Cycles needs Blender; run make blender.")
         return Blender(found, is_python=True, version="4.5.0")
 
-    monkeypatch.setattr("skyproof.cycles.blender.find_blender", find_blender)
+    monkeypatch.setattr("skyproof.reproduction.reproduce.find_blender", find_blender)
     return asked
 
 
@@ -91,7 +91,7 @@ def test_a_finished_run_takes_the_cycles_column_and_says_what_is_new(
     write_benchmarks(out, done, 1000)
     stub_blender(monkeypatch, Path("/blender"))
     monkeypatch.setattr(
-        "skyproof.reproduction.snakemake.snakemake_words", stub_snakemake(tmp_path, out)
+        "skyproof.reproduction.reproduce.snakemake_words", stub_snakemake(tmp_path, out)
     )
     answer = skyproof("reproduce", "--preset", TINY, "--out", out, "--cycles", "--cores", 2)
     assert answer.code == 0, answer.err
@@ -137,7 +137,7 @@ def test_bad_input_is_refused_before_anything_is_written(
     other = tmp_path / "other.json"
     other.write_text(json.dumps({**json.loads(TINY.read_text()), "detectors": ["ssd"]}))
     skyproof("reproduce", "--preset", other, "--out", out).refused("ssd")
-    monkeypatch.setattr("skyproof.reproduction.command.find_spec", lambda name: None)
+    monkeypatch.setattr("skyproof.reproduction.reproduce.find_spec", lambda name: None)
     skyproof("reproduce", "--preset", TINY, "--out", out, "--cores", 2).refused(
         "pip install 'skyproof[reproduce]'", "--cores 1"
     )
@@ -186,7 +186,7 @@ def test_a_run_keeps_its_held_out_detectors_and_refuses_others_in_their_place(
     out = tmp_path / "run"
     first = detector(tmp_path / "first", "photographs")
     monkeypatch.setattr(
-        "skyproof.reproduction.snakemake.snakemake_words", stub_snakemake(tmp_path, out)
+        "skyproof.reproduction.reproduce.snakemake_words", stub_snakemake(tmp_path, out)
     )
     given = ("reproduce", "--preset", TINY, "--out", out, "--cores", 2)
     answer = skyproof(*given, "--held-out", first)

@@ -86,7 +86,7 @@ def test_jobs_of_an_earlier_call_are_waited_for(asked, tmp_path, monkeypatch):
         tmp_path / "bin",
         f"{elsewhere}; [ -e {tmp_path}/seen ] || echo '12 {run}'; : > {tmp_path}/seen",
     )
-    monkeypatch.setattr("skyproof.reproduction.snakemake.snakemake_words", lambda *_: ["/bin/true"])
+    monkeypatch.setattr("skyproof.reproduction.reproduce.snakemake_words", lambda *_: ["/bin/true"])
     answer = asked()
     assert answer.code == 0, answer.err
     assert "2 jobs of Slurm" in answer.out
@@ -98,7 +98,7 @@ def test_where_the_steps_run_is_not_left_to_a_profile(asked, skyproof, tmp_path,
     script = tmp_path / "script"
     script.write_text(f'#!/bin/sh\necho "$@" > {told}\n')
     script.chmod(0o755)
-    monkeypatch.setattr("skyproof.reproduction.snakemake.snakemake_words", lambda *_: [str(script)])
+    monkeypatch.setattr("skyproof.reproduction.reproduce.snakemake_words", lambda *_: [str(script)])
     skyproof("reproduce", "--preset", TINY, "--out", tmp_path / "here", "--cores", 2)
     assert "--executor local --cores 2" in told.read_text()
     slurm_stub(monkeypatch, tmp_path / "bin", "exit 0")

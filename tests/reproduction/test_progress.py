@@ -2,7 +2,8 @@
 
 import os
 
-from skyproof.reproduction.progress import FailedJob, FinishedJob, failed_job, finished_jobs
+from skyproof.reproduction.snakemake import failed_job, finished_jobs
+from skyproof.results.stored import Timing
 
 HEADER = "s\th:m:s\tmax_rss\tmax_vms\tmax_uss\tmax_pss\tio_in\tio_out\tmean_load\tcpu_time\n"
 LOG = """
@@ -52,26 +53,28 @@ def test_finished_jobs_in_order(tmp_path):
         path.parent.mkdir(parents=True)
         path.write_text(HEADER + row)
         os.utime(path, (1000 - age, 1000 - age))
-    assert finished_jobs(tmp_path) == [
-        FinishedJob("ground", "ground", 3.0, None),
-        FinishedJob("attack", "S-O@0.4-1", 12.5, 900.25),
+    jobs = finished_jobs(tmp_path)
+    assert list(jobs) == ["ground/ground", "attack/S-O@0.4-1"]
+    assert [*jobs.values()] == [
+        Timing(stage="ground", name="ground", seconds=3.0),
+        Timing(stage="attack", name="S-O@0.4-1", seconds=12.5, largest_memory_mb=900.25),
     ]
 
 
 def test_the_failed_job_is_named():
-    assert failed_job(LOG) == FailedJob(("logs/attack/S-O@0.4-1.log",))
+    assert failed_job(LOG) == (["logs/attack/S-O@0.4-1.log"], "")
     finished = "Finished jobid: 5 (Rule: palette)\n    log: logs/x.log (check log file(s))"
     assert failed_job(finished) is None
 
 
 def test_what_a_cluster_says_of_a_failed_job():
-    logs = ("logs/score/001.log", "/run/.snakemake/slurm_logs/rule_score_15/16.log")
-    assert failed_job(ENDED + LOG) == FailedJob(logs)
+    logs = ["logs/score/001.log", "/run/.snakemake/slurm_logs/rule_score_15/16.log"]
+    assert failed_job(ENDED + LOG) == (logs, "")
     late = ENDED.replace("'FAILED'", "'TIMEOUT'")
-    assert failed_job(late + LOG) == FailedJob(logs, "Slurm says TIMEOUT")
+    assert failed_job(late + LOG) == (logs, "Slurm says TIMEOUT")
     # What an earlier try printed is not why this one was refused.
     why = (
         "sbatch: error: invalid partition: nowhere sbatch: error: Batch job submission failed: "
         "Invalid partition name specified"
     )
-    assert failed_job(REFUSED + LOG) == FailedJob((), why)
+    assert failed_job(REFUSED + LOG) == ([], why)

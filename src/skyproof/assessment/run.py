@@ -6,7 +6,7 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
@@ -21,7 +21,7 @@ from skyproof.documents import read_document
 from skyproof.errors import RunFolderError
 from skyproof.files import Hold, alone, is_leftover, write_json
 from skyproof.layout import Layout
-from skyproof.results.stored import read_environment, read_timings
+from skyproof.results.stored import Timing, read_environment, read_timings
 
 # Every run's config names one of them, and a seed.
 _RECIPES = {"suite", "preset"}
@@ -175,9 +175,9 @@ class Run:
         kept = self._kept().get(step.id) if step.renewed else None
         return kept is None or kept.settings_sha256 == self._digests[step.id]
 
-    def note_times(self, rows: Sequence[Mapping[str, Any]]) -> None:
+    def note_times(self, rows: Iterable[Timing]) -> None:
         """Writes the times of steps that other processes did."""
-        write_json(self._layout.timings, [dict(row) for row in rows])
+        write_json(self._layout.timings, [asdict(row) for row in rows])
 
     def _refuse_another(self) -> dict[str, Any] | None:
         """Refuses a folder of another run; returns the stored config."""

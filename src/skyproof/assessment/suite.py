@@ -36,6 +36,12 @@ class AttackSteps:
     sequential: Count
     parallel: Count
 
+    def of(self, name: CamouflageName) -> int:
+        """The steps of an attack."""
+        if name.kind == "combination":
+            return self.sequential if name.order == "seq" else self.parallel
+        return self.texture if name.kind == "texture" else self.shape
+
 
 @dataclass(frozen=True)
 class Expected:
@@ -103,12 +109,12 @@ class Suite:
 
     def attack(self, name: CamouflageName, seed: int) -> AttackSettings:
         """The settings of an attack."""
-        return replace(self.settings, steps=self._steps(name), seed=seed)
+        return replace(self.settings, steps=self.steps.of(name), seed=seed)
 
     def chosen_controls(self, seed: int) -> dict[CamouflageName, AttackSettings]:
         """The controls that the detectors choose, with the steps of the longest attack."""
         steps = {
-            name: self._steps(name) + (self.steps.texture if name.order == "seq" else 0)
+            name: self.steps.of(name) + (self.steps.texture if name.order == "seq" else 0)
             for name in self.names
         }
         return {
@@ -130,11 +136,6 @@ class Suite:
                 names = [str(control.with_repeat(draw)) for draw in range(self.draws)]
                 shapes.setdefault(texture_under(name), []).extend(names)
         return shapes
-
-    def _steps(self, name: CamouflageName) -> int:
-        if name.kind == "combination":
-            return self.steps.sequential if name.order == "seq" else self.steps.parallel
-        return self.steps.texture if name.kind == "texture" else self.steps.shape
 
 
 def read_suite(path: Path = SUITE) -> Suite:

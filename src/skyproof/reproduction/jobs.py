@@ -16,6 +16,7 @@ from skyproof.reproduction.preset import Preset
 from skyproof.scenes.weather import CONDITIONS
 from skyproof.seeds import next_seed
 
+_ORDERS: tuple[Order, ...] = ("seq", "par")
 _PARALLEL = ("Fc", "PixFc")
 
 
@@ -74,12 +75,10 @@ class Jobs:
         self._preset = preset
         kinds = [*self._kinds()]
         jobs = [self._repeat(kind, repeat) for repeat in range(preset.repeats) for kind in kinds]
-        jobs += [
-            self._repeat(kind, repeat)
-            for kind in kinds
-            if kind.name.kind == "texture" and not kind.name.variant
-            for repeat in range(preset.repeats, preset.texture_repeats.get(_texture(kind.name), 0))
-        ]
+        for kind in kinds:
+            if kind.name.kind == "texture" and not kind.name.variant:
+                wanted = preset.texture_repeats.get(kind.name.family.removeprefix("T-"), 0)
+                jobs += [self._repeat(kind, repeat) for repeat in range(preset.repeats, wanted)]
         plain = [kind.name for kind in kinds if not kind.name.variant and kind.name.order != "par"]
         drawn = [name.control.with_repeat(n) for name in plain for n in range(preset.draws)]
         self.attacks = {str(job.name): job for job in jobs}
@@ -91,8 +90,8 @@ class Jobs:
         late = [*self.chosen, *(name for names in self.shapes.values() for name in names)]
         featured = {*self._featured()}
         self.featured = tuple(n for n in (*self.controls, *folders, *late) if n in featured)
-        looked_at = [name for name in (*(job.name for job in jobs), *drawn) if self._is_shown(name)]
-        self.looked_at = tuple(map(str, looked_at))
+        learnt = [job.name for job in jobs]
+        self.looked_at = tuple(str(name) for name in (*learnt, *drawn) if self._is_shown(name))
 
         self.repeated = tuple(job for job in jobs if not job.name.variant)
         finished = [job.name for job in self.repeated]
@@ -105,18 +104,10 @@ class Jobs:
             size=max(preset.score_batch // 4, 1),
         )
         bases = [CamouflageName.parse(text) for text in preset.weather]
-        random = {base.control for base in bases}
-        learnt = {each for base in bases for each in (base, base.with_variant(IN_WEATHER))}
         self.weather_batches = self._batched(
-            [name for name in drawn if name.pooled in random],
-            [job.name for job in jobs if job.name.pooled in learnt],
+            [name for name in drawn if name.pooled in {base.control for base in bases}],
+            [name for name in learnt if name.variant in ("", IN_WEATHER) and name.base in bases],
         )
-
-    def _is_shown(self, name: CamouflageName) -> bool:
-        if name.kind == "texture":
-            return True
-        shown = name.magnitude == self._preset.ladder_magnitude and name.repeat == "0"
-        return shown and not name.random
 
     def _kinds(self) -> Iterator[AttackJob]:
         """Every attack before it is repeated."""
@@ -134,8 +125,7 @@ class Jobs:
             yield AttackJob(name, *every, conditions=tuple(CONDITIONS))
         for magnitude in preset.magnitudes:
             yield AttackJob(CamouflageName("shape", magnitude=magnitude), *every)
-        orders: tuple[Order, ...] = ("seq", "par")
-        for order in orders:
+        for order in _ORDERS:
             for texture in textures:
                 if order == "seq" or texture.name in _PARALLEL:
                     grid = preset.combined_magnitudes.get(texture.name, preset.magnitudes)
@@ -147,37 +137,24 @@ class Jobs:
         """One repeat of an attack; the first keeps copies on its way."""
         preset = self._preset
         name = kind.name.with_repeat(repeat)
-        orders = {"seq": "sequential", "par": "parallel", None: name.kind}
-        steps: int = getattr(preset.attack_steps, orders[name.order])
+        steps = preset.attack_steps.of(name)
         measured = name.magnitude in (None, preset.ladder_magnitude)
         climbs = repeat == 0 and not name.variant and measured
-        rungs = [step for step in preset.ladder_steps if step < steps] if climbs else []
-        kept = [str(name.with_variant(f"step{step}")) for step in rungs]
-        learns_colours = name.constraints is not None and name.constraints.colours != "free"
+        rungs = tuple(step for step in preset.ladder_steps if step < steps) if climbs else ()
+        kept = [f"step{step}" for step in rungs]
         texture = None
         if name.order == "seq":
             texture = str(CamouflageName("texture", name.constraints).with_repeat(repeat))
-        elif rungs and learns_colours:
-            kept.append(str(name.with_variant("relaxed")))
+        elif rungs and name.constraints is not None and name.constraints.colours != "free":
+            kept.append("relaxed")
         seed = next_seed(preset.seed, repeat)
-        settings = replace(kind.settings, steps=steps, seed=seed, keep_at=tuple(rungs))
-        return replace(kind, name=name, settings=settings, texture=texture, kept=tuple(kept))
-
-    def _on_cycles(self, names: Iterable[CamouflageName]) -> list[CamouflageName]:
-        """The repeats and draws of the Cycles column, which has more of the headlines."""
-        preset = self._preset
-        headlines = [CamouflageName.parse(text) for text in preset.cycles_headlines]
-        wanted = {*headlines}
-        for name in headlines:
-            wanted |= {name.control, *name.chosen_controls}
-
-        def has(name: CamouflageName) -> bool:
-            if name.choice is not None:
-                return name in wanted
-            count = preset.repeats if name.pooled in wanted else preset.cycles_repeats
-            return int(name.repeat) < count
-
-        return [name for name in names if has(name)]
+        return replace(
+            kind,
+            name=name,
+            settings=replace(kind.settings, steps=steps, seed=seed, keep_at=rungs),
+            texture=texture,
+            kept=tuple(str(name.with_variant(copy)) for copy in kept),
+        )
 
     def _chosen(self) -> Iterator[AttackJob]:
         """The controls of every attack, with as many steps as the longest attack."""
@@ -202,9 +179,7 @@ class Jobs:
         shapes: dict[str, list[str]] = {}
         for job in self.attacks.values() if preset.best_of else ():
             control = job.name.random_shape
-            if control is None or job.name.variant:
-                continue
-            if control.magnitude != preset.ladder_magnitude:
+            if control is None or control.magnitude != preset.ladder_magnitude:
                 continue
             # A sequential attack has its texture from another, a parallel one its own.
             draws = range(int(job.name.repeat), preset.draws, preset.repeats)
@@ -220,6 +195,26 @@ class Jobs:
             names = (name.with_repeat(0), name.control.with_repeat(0), plain)
             yield from map(str, names)
 
+    def _is_shown(self, name: CamouflageName) -> bool:
+        if name.kind == "texture":
+            return True
+        shown = name.magnitude == self._preset.ladder_magnitude and name.repeat == "0"
+        return shown and not name.random
+
+    def _on_cycles(self, names: Iterable[CamouflageName]) -> list[CamouflageName]:
+        """The repeats and draws of the Cycles column, which has more of the headlines."""
+        preset = self._preset
+        wanted = {*map(CamouflageName.parse, preset.cycles_headlines)}
+        wanted |= {each for name in wanted for each in (name.control, *name.chosen_controls)}
+
+        def has(name: CamouflageName) -> bool:
+            if name.choice is not None:
+                return name in wanted
+            count = preset.repeats if name.pooled in wanted else preset.cycles_repeats
+            return int(name.repeat) < count
+
+        return [name for name in names if has(name)]
+
     def _batched(
         self, *groups: Sequence[str | CamouflageName], size: int | None = None
     ) -> dict[str, tuple[str, ...]]:
@@ -230,10 +225,6 @@ class Jobs:
             for start in range(0, len(folders), size)
         ]
         return {f"{number:03d}": batch for number, batch in enumerate(batches)}
-
-
-def _texture(name: CamouflageName) -> str:
-    return "" if name.constraints is None else name.constraints.name
 
 
 def _parts_of(detectors: Sequence[str]) -> Iterator[tuple[str, tuple[str, ...]]]:

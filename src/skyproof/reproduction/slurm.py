@@ -1,6 +1,6 @@
-"""Slurm as the machine that a plan's steps run on: is it there, and what works there already?
+"""Slurm as the machine of a plan's steps, which Snakemake's plug-in hands over.
 
-The steps are handed over by Snakemake's own plug-in; here is only what a user must be told before.
+Here is only what a user must be told before: is it there, and what works there already?
 """
 
 import os
@@ -19,15 +19,6 @@ _ANSWER_S = 60.0
 _POLL_S = 2.0
 # Slurm gives a cancelled job 30 s to end, unless a cluster says otherwise.
 _PATIENCE_S = 60.0
-
-
-def slurm_words(jobs: int) -> list[str]:
-    """Returns the words that make Snakemake hand the steps to Slurm.
-
-    Args:
-        jobs: how many of them wait or run there at once.
-    """
-    return ["--executor", "slurm", "--jobs", str(jobs)]
 
 
 def check_slurm() -> None:
@@ -58,7 +49,6 @@ def wait_for_earlier_jobs(folder: Path) -> None:
 
     Raises:
         RunFolderError: they go on after a minute.
-        ConfigurationError: Slurm does not answer.
     """
     place = os.path.realpath(folder)
     until = time.monotonic() + _PATIENCE_S
@@ -77,11 +67,7 @@ def wait_for_earlier_jobs(folder: Path) -> None:
 
 
 def _jobs_of_mine() -> list[tuple[str, str]]:
-    """The user's jobs that wait or run, each with the folder it works in.
-
-    Raises:
-        ConfigurationError: Slurm does not answer.
-    """
+    """The user's jobs that wait or run, each with the folder it works in."""
     words = ["squeue", "--me", "--noheader", "--format", "%i %Z"]
     try:
         done = subprocess.run(words, capture_output=True, text=True, timeout=_ANSWER_S)

@@ -1,6 +1,9 @@
-"""A plan done by Snakemake: on many cores of this machine, or on a cluster."""
+"""A plan done by Snakemake, on many cores of this machine or on a cluster, and how far it is."""
 
+import csv
+import io
 import os
+import re
 import shlex
 import signal
 import subprocess
@@ -17,22 +20,31 @@ from skyproof.console import say
 from skyproof.errors import RunFolderError
 from skyproof.files import Hold
 from skyproof.reproduction.plan import Plan
-from skyproof.reproduction.progress import FinishedJob, failed_job, finished_jobs
+from skyproof.results.stored import Timing
 
 SNAKEFILE = Path(__file__).with_name("Snakefile")
 
 _POLL_S = 1.0
-_PATIENCE_S = 30.0
+
+# What a cluster said may have lines of its own, up to the next message with its time.
+_FAILED = re.compile(
+    r"^Error in (?:rule|group) [^\n]*:\n(?P<said>(?:(?!\[|Error in )[^\n]*\n)*?)"
+    r"    log: (?P<logs>[^\n]+?) \(check log",
+    re.MULTILINE,
+)
+_REFUSED = re.compile(r"The error message was '(?P<words>.*?)'\.\n", re.DOTALL)
+_ENDED = re.compile(r"SLURM status is: '(?P<status>\w+)'")
+
+# Of a benchmark file, in characters, and of a number in it; more is none of Snakemake's.
+_LONGEST = 10_000
+_LARGEST = 1e9
 
 
 def shell_line(step: Step, config: Mapping[str, Any]) -> Callable[[object], str]:
     """Returns the shell's words for a step in a process of its own, every one quoted.
 
     It is a function, because Snakemake looks for wildcards in text, and a path may have braces.
-
-    Args:
-        step: the step.
-        config: the values of `--config`, device and blender.
+    `config` holds the values of `--config`, device and blender.
     """
     words = [sys.executable, "-m", "skyproof.reproduction", "step", step.id]
     line = shlex.join([*words, *(f"--{name}={value}" for name, value in config.items())])
@@ -72,9 +84,9 @@ def run_side_by_side(plan: Plan, run: Run, command: Sequence[str], cores: int, h
     """Runs Snakemake on a plan, and prints a line per finished step.
 
     Args:
-        plan: the plan that the workflow reads, too.
+        plan: the plan that the Snakefile reads, too.
         run: the run folder.
-        command: Snakemake's words, options of its executor included.
+        command: Snakemake's words with its executor, which no profile of the user's decides.
         cores: how many steps run side by side, for the time left.
         hold: the run folder's lock, which Snakemake holds as long as it lives. It ends with this
             process, however that ends (`skyproof.reproduction.watched`).
@@ -83,20 +95,28 @@ def run_side_by_side(plan: Plan, run: Run, command: Sequence[str], cores: int, h
         RunFolderError: a step failed; names its log.
     """
     place = run.folder / "snakemake.log"
-    before = set(_finished(run.folder, plan))
-    if before:
-        say(f"  {len(before)} steps were finished before")
-    with open(place, "ab") as log, _stop_signals(), _pipe() as read_end:
+    known = {step.id for step in plan.steps}
+    before = finished_jobs(run.folder)
+    # An earlier call may have had more steps.
+    if known & {*before}:
+        say(f"  {len(known & {*before})} steps were finished before")
+    with open(place, "ab") as log, _stop_signals():
         start = log.tell()
-        watched = [sys.executable, "-m", "skyproof.reproduction.watched", str(read_end)]
+        # The other end of the pipe is held by this process alone.
+        read_end, write_end = os.pipe()
+        words = [sys.executable, "-m", "skyproof.reproduction.watched", str(read_end)]
+        words += [str(hold.descriptor), *command]
+        # Marks left by a kill must not stop the next try; our own lock keeps a second run away.
+        words += ["--rerun-incomplete", "--nolock", "--scheduler", "greedy"]
         # In a session of its own, so that Ctrl-C reaches it once, through us.
         child = subprocess.Popen(
-            [*watched, str(hold.descriptor), *command],
+            words,
             stdout=log,
             stderr=log,
             start_new_session=True,
             pass_fds=[read_end, hold.descriptor],
         )
+        os.close(read_end)
         hold.note(
             f"process {os.getpid()}, skyproof reproduce; its jobs are of process {child.pid}, "
             f"which ends with it, or by: kill {child.pid}"
@@ -104,56 +124,98 @@ def run_side_by_side(plan: Plan, run: Run, command: Sequence[str], cores: int, h
         try:
             while child.poll() is None:
                 time.sleep(_POLL_S)
-                finished = _say_finished(run.folder, plan, cores, before)
-                if finished != before:
-                    # The report, the last step, says how long all others took.
-                    run.note_times([job.timing for job in finished_jobs(run.folder)])
-                before = finished
-        except BaseException:
-            _end(child)
-            raise
+                before = _note_finished(run, plan, cores, before)
         finally:
-            run.note_times([job.timing for job in finished_jobs(run.folder)])
-    _say_finished(run.folder, plan, cores, before)
+            os.close(write_end)
+            child.wait()
+            run.note_times(finished_jobs(run.folder).values())
+    _note_finished(run, plan, cores, before)
     if child.returncode:
         said = place.read_bytes()[start:].decode(errors="replace")
         raise RunFolderError(_failure(run.folder, said))
 
 
-def _say_finished(
-    folder: Path, plan: Plan, cores: int, before: set[FinishedJob]
-) -> set[FinishedJob]:
+def _note_finished(
+    run: Run, plan: Plan, cores: int, before: Mapping[str, Timing]
+) -> dict[str, Timing]:
     """Prints new steps; one that was done again counts as new, as it took another time."""
-    finished = _finished(folder, plan)
-    left_s = time_left_s(plan.steps, {job.id: job.seconds for job in finished}, cores)
+    finished = finished_jobs(run.folder)
+    if finished == before:
+        return finished
     titles = {step.id: step.title for step in plan.steps}
-    for number, job in enumerate(finished, start=1):
-        if job not in before:
-            left = "" if left_s is None else f", about {duration(left_s)} left"
+    jobs = {name: job for name, job in finished.items() if name in titles}
+    left_s = time_left_s(plan.steps, {name: job.seconds for name, job in jobs.items()}, cores)
+    left = "" if left_s is None else f", about {duration(left_s)} left"
+    for number, (name, job) in enumerate(jobs.items(), start=1):
+        if job != before.get(name):
             progress = f"({number} of {len(plan.steps)} steps{left})"
-            say(f"  {titles[job.id]}: {job.seconds:.0f} s {progress}")
-    return set(finished)
+            say(f"  {titles[name]}: {job.seconds:.0f} s {progress}")
+    # The report, the last step, says how long all others took.
+    run.note_times(finished.values())
+    return finished
 
 
-def _finished(folder: Path, plan: Plan) -> list[FinishedJob]:
-    """The finished steps of the plan: an earlier call may have had more of them."""
-    known = {step.id for step in plan.steps}
-    return [job for job in finished_jobs(folder) if job.id in known]
+def finished_jobs(folder: Path) -> dict[str, Timing]:
+    """Reads Snakemake's benchmark files, `benchmarks/<kind>/<name>.tsv`, oldest first, by step."""
+    places = (folder / "benchmarks").glob("*/*.tsv")
+    files = sorted((path.stat().st_mtime_ns, path) for path in places)
+    jobs = {}
+    for _, path in files:
+        with open(path, encoding="utf-8", errors="replace") as file:
+            text = io.StringIO(file.read(_LONGEST))
+        rows = list(csv.DictReader(text, delimiter="\t"))
+        # A file may be seen before it is whole.
+        seconds = _number(rows[-1].get("s")) if rows else None
+        if seconds is not None:
+            jobs[f"{path.parent.name}/{path.stem}"] = Timing(
+                stage=path.parent.name,
+                name=path.stem,
+                seconds=round(seconds, 2),
+                largest_memory_mb=_number(rows[-1].get("max_rss")),
+            )
+    return jobs
+
+
+def _number(text: str | None) -> float | None:
+    try:
+        value = float(text or "nan")
+    except ValueError:
+        return None
+    return value if 0 <= value <= _LARGEST else None
 
 
 def _failure(folder: Path, text: str) -> str:
     place = folder / "snakemake.log"
-    job = failed_job(text)
-    if job is None:
+    failed = failed_job(text)
+    if failed is None:
         return f"Snakemake stopped; see {place}, then give the same command again to go on."
+    logs, reason = failed
     # A job that a cluster could not start printed nothing of its own.
-    printed = [folder / log for log in job.logs if _last_words(folder / log)]
-    reason = job.reason
+    printed = [folder / log for log in logs if _last_words(folder / log)]
     if printed:
         place = printed[0]
         reason = reason or _last_words(place)
     reason = reason.rstrip(".") or "it printed nothing"
     return f"A step failed ({reason}); see {place}, then give the same command again to go on."
+
+
+def failed_job(text: str) -> tuple[list[str], str] | None:
+    """Finds the first step that Snakemake's own log calls failed; None for none.
+
+    Returns:
+        Files of what it printed, its own first, relative to the run folder, or whole; none where a
+        cluster refused the step, because then an earlier try wrote them. And what the cluster says
+        beside that it failed: why it refused the step, or a status such as TIMEOUT.
+    """
+    match = _FAILED.search(text)
+    if match is None:
+        return None
+    refused = _REFUSED.search(match["said"])
+    if refused:
+        return [], " ".join(refused["words"].split())
+    ended = _ENDED.search(match["said"])
+    status = ended["status"] if ended else "FAILED"
+    return match["logs"].split(", "), "" if status == "FAILED" else f"Slurm says {status}"
 
 
 def _last_words(path: Path) -> str:
@@ -163,27 +225,6 @@ def _last_words(path: Path) -> str:
     lines = path.read_text(encoding="utf-8", errors="replace").split("\n")
     said = [line.removeprefix("skyproof: ").strip() for line in lines if line.strip()]
     return said[-1] if said else ""
-
-
-@contextmanager
-def _pipe() -> Iterator[int]:
-    """Yields the read end of a pipe whose other end this process alone holds."""
-    read_end, write_end = os.pipe()
-    try:
-        yield read_end
-    finally:
-        os.close(read_end)
-        os.close(write_end)
-
-
-def _end(child: subprocess.Popen[Any]) -> None:
-    """Ends Snakemake and its jobs, politely at first."""
-    for number in (signal.SIGINT, signal.SIGKILL):
-        try:
-            os.killpg(child.pid, number)
-            child.wait(_PATIENCE_S)
-        except (ProcessLookupError, subprocess.TimeoutExpired):
-            continue
 
 
 @contextmanager

@@ -14,7 +14,7 @@ import sys
 from types import FrameType
 
 _POLL_S = 0.5
-_PATIENCE_S = 20.0
+_PATIENCE_S = 30.0
 
 
 def watch(read_end: int, lock: int, words: list[str]) -> int:

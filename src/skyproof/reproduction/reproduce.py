@@ -1,0 +1,145 @@
+"""The work of `skyproof reproduce`: checks the request, and runs the steps or tells them."""
+
+import os
+import shlex
+from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+
+import torch
+
+from skyproof.assessment.run import Run
+from skyproof.console import say
+from skyproof.cycles.blender import find_blender
+from skyproof.detectors.build import build_detector
+from skyproof.detectors.reference_detectors import reference_folder
+from skyproof.device import choose_device
+from skyproof.errors import ConfigurationError
+from skyproof.reproduction.command import Reproduce
+from skyproof.reproduction.held_out_detectors import (
+    HeldOutDetector,
+    new_tables,
+    read_held_out,
+    store_reference_detectors,
+    store_tables,
+    stored_tables,
+)
+from skyproof.reproduction.layout import PaperLayout
+from skyproof.reproduction.plan import reproduction_plan
+from skyproof.reproduction.preset import Preset, read_preset
+from skyproof.reproduction.slurm import check_slurm, wait_for_earlier_jobs
+from skyproof.reproduction.snakemake import run_side_by_side, snakemake_words
+
+
+def reproduce(asked: Reproduce) -> None:
+    """Does every step that is not finished, or says what they are in a dry run."""
+    name, path, values, preset = read_preset(asked.preset)
+    count = _side_by_side(asked)
+    choose_device(asked.device)
+    # Shows a detector whose library is missing before the ground is drawn.
+    for detector in preset.detectors:
+        build_detector(detector, preset.size, generator=torch.Generator())
+    blender = _blender(asked)
+    layout = PaperLayout(asked.out)
+    given = read_held_out(asked.held_out)
+    added = new_tables(layout, preset, given)
+    names = {table: tuple(sorted(each.name for each in its)) for table, its in added.items()}
+    tables = dict(sorted((stored_tables(layout) | names).items()))
+    plan = reproduction_plan(
+        preset, asked.out, device=asked.device, blender=blender, held_out=tables
+    )
+    run = Run(asked.out, {"preset": name, **values}, plan.steps)
+    on_slurm = asked.slurm_jobs is not None
+    executor = ["--executor", "slurm", "--jobs", str(count)]
+    if asked.dry_run:
+        say(f"Steps: {plan.in_words}.")
+        say("By hand, or with options for a cluster's executor:")
+        for words in _copies(path, preset, layout, added):
+            say("  " + shlex.join(words))
+        start = snakemake_words(asked.out, blender)
+        say("  " + shlex.join(start + (executor if on_slurm else ["--cores", "2"])))
+        return
+    if on_slurm:
+        wait_for_earlier_jobs(asked.out)
+    with run.begun(asked.device) as hold:
+        store_reference_detectors(layout, preset)
+        store_tables(layout, new_tables(layout, preset, given))
+        say(
+            f"skyproof reproduce, preset {name}: {plan.in_words}; {count} "
+            f"{'jobs of Slurm' if on_slurm else 'cores'}, run folder {asked.out}"
+        )
+        if count == 1 and not on_slurm:
+            run.do()
+        else:
+            if not on_slurm:
+                executor = ["--executor", "local", "--cores", str(count)]
+                executor += ["--resources", "gpu=1"] if preset.resources.gpu else []
+            start = snakemake_words(asked.out, blender, asked.device)
+            run_side_by_side(plan, run, start + executor, count, hold)
+    page = layout.tables / "README.md"
+    # A run without textures has none of the paper's tables.
+    if page.exists():
+        say(f"Tables: {page.resolve()}")
+    say(f"Report: {layout.report.resolve()}")
+
+
+def _side_by_side(asked: Reproduce) -> int:
+    """How many steps run at once, on this machine or in Slurm.
+
+    Raises:
+        ConfigurationError: Snakemake or Slurm is missing, or both options are given.
+    """
+    if asked.slurm_jobs is not None:
+        if asked.cores is not None:
+            raise ConfigurationError(
+                "--cores is for the steps on this machine, --slurm-jobs for those on a "
+                "cluster; give one of the two."
+            )
+        check_slurm()
+        return asked.slurm_jobs
+    cores = len(os.sched_getaffinity(0)) if asked.cores is None else asked.cores
+    if (cores > 1 or asked.dry_run) and find_spec("snakemake") is None:
+        raise ConfigurationError(
+            "skyproof reproduce on several cores needs Snakemake; run pip install "
+            "'skyproof[reproduce]' first, or give --cores 1."
+        )
+    return cores
+
+
+def _blender(asked: Reproduce) -> Path | None:
+    """The Blender of the Cycles column.
+
+    Raises:
+        ConfigurationError: there is no usable Blender, or it is given without --cycles.
+    """
+    if asked.cycles:
+        # Not resolved: the Python of a virtual environment is a link, and loses its packages when
+        # followed.
+        return find_blender(asked.blender).path.absolute()
+    if asked.blender is not None:
+        raise ConfigurationError(
+            "--blender is for the Cycles column; give --cycles too, or leave it out."
+        )
+    return None
+
+
+def _copies(
+    preset_file: Path,
+    preset: Preset,
+    layout: PaperLayout,
+    added: Mapping[str, Sequence[HeldOutDetector]],
+) -> list[list[str]]:
+    """The commands that put the preset and detectors where the run has them."""
+    copies = [
+        (each.folder, layout.table(table).detector(each.name))
+        for table, detectors in added.items()
+        for each in detectors
+    ]
+    if not layout.config.exists():
+        copies += [(reference_folder(name), layout.detector(name)) for name in preset.reference]
+    copies.append((preset_file, layout.config))
+    parents = dict.fromkeys(str(copy.parent) for _, copy in copies)
+    return [
+        *(["mkdir", "-p", parent] for parent in parents),
+        *(["cp", "-r", str(source), str(copy)] for source, copy in copies),
+    ]
