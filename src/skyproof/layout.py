@@ -9,7 +9,7 @@ CLEARING_RECORD = "clearing.json"
 """The record of removed vehicles in a cleared background set."""
 
 
-class Place:
+class RunPath:
     """A path in a run folder."""
 
     def __init__(self, name: str) -> None:
@@ -29,19 +29,19 @@ class Layout:
 
     folder: Path
 
-    config = Place("config.json")  # every setting that decides the results
-    environment = Place("environment.json")  # versions, machine, commands, start and end
-    timings = Place("timings.json")  # seconds per step
-    steps = Place("steps.json")  # digests of the inputs of the steps that were begun
-    tiles = Place("tiles")  # cut from imagery, with their vehicles
-    backgrounds = Place("backgrounds")
-    fleets = Place("fleets")
-    detectors = Place("detectors")
-    camouflages = Place("camouflages")  # optimised and random
-    scores = Place("scores")  # score folders, all of which the report reads
-    results = Place("results.json")  # the rows of all scores, merged
-    report = Place("report.html")
-    verdict = Place("verdict.json")  # accepted and rejected detectors, with a requirement
+    config = RunPath("config.json")  # every setting that decides the results
+    environment = RunPath("environment.json")  # versions, machine, commands, start and end
+    timings = RunPath("timings.json")  # seconds per step
+    steps = RunPath("steps.json")  # digests of the inputs of the steps that were begun
+    tiles = RunPath("tiles")  # cut from imagery, with their vehicles
+    backgrounds = RunPath("backgrounds")
+    fleets = RunPath("fleets")
+    detectors = RunPath("detectors")
+    camouflages = RunPath("camouflages")  # optimised and random
+    scores = RunPath("scores")  # score folders, all of which the report reads
+    results = RunPath("results.json")  # the rows of all scores, merged
+    report = RunPath("report.html")
+    verdict = RunPath("verdict.json")  # accepted and rejected detectors, with a requirement
 
     def scenes(self, split: str) -> Path:
         """The scene file of a split."""

@@ -1,16 +1,16 @@
 """The further paths in the run folder of a reproduction."""
 
-from skyproof.layout import Layout, Place
+from skyproof.layout import Layout, RunPath
 
 
 class PaperLayout(Layout):
     """The paths of a reproduction's run folder."""
 
-    trainings = Place("trainings")  # all further trainings of the detectors
-    held_out = Place("judges")  # held-out detectors and their scores
-    looks = Place("looks")  # what camouflages look like
-    features = Place("features.parquet")  # the detectors' features
-    tables = Place("tables")  # the paper's tables, as Markdown and CSV
+    trainings = RunPath("trainings")  # all further trainings of the detectors
+    held_out = RunPath("judges")  # held-out detectors and their scores
+    looks = RunPath("looks")  # what camouflages look like
+    features = RunPath("features.parquet")  # the detectors' features
+    tables = RunPath("tables")  # the paper's tables, as Markdown and CSV
 
     def training(self, number: int) -> Layout:
         """The paths of a further training's detectors, camouflages and scores; 0 is the run."""
