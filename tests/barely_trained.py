@@ -9,9 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 from unittest.mock import patch
 
-from skyproof.detectors.average_precision import PrecisionRecall, frozen_threshold
 from skyproof.detectors.card import read_card, write_card
 from skyproof.detectors.detector import LOWEST_SCORE
+from skyproof.detectors.validation import PrecisionRecall, frozen_threshold
 
 __all__ = ["count_everything", "everything_counts"]
 
@@ -27,7 +27,7 @@ def everything_counts() -> Iterator[None]:
     def lowest(curve: PrecisionRecall) -> tuple[float, float]:
         return LOWEST_SCORE, frozen_threshold(curve)[1]
 
-    with patch("skyproof.detectors.threshold.frozen_threshold", lowest):
+    with patch("skyproof.detectors.validation.frozen_threshold", lowest):
         yield
 
 

@@ -28,7 +28,7 @@ from skyproof.camouflage.make import make_camouflage
 from skyproof.cycles.opening import open_workers
 from skyproof.cycles.renderer import CyclesRenderer
 from skyproof.cycles.settings import Rendering
-from skyproof.detectors.build import build_detector
+from skyproof.detectors.loaded import build_detector
 from skyproof.device import choose_device
 from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.randomness import generator_of

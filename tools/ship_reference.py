@@ -25,8 +25,7 @@ from skyproof.detectors.inference import detect_all
 from skyproof.detectors.loaded import load_detector
 from skyproof.detectors.matching import MatchTable, match_images
 from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS, REFERENCE_FOLDER
-from skyproof.detectors.threshold import validate
-from skyproof.detectors.weights import plain_state
+from skyproof.detectors.validation import validate
 from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError
 from skyproof.layout import Layout
@@ -139,7 +138,7 @@ def _halve(layout: Layout, folder: Path) -> tuple[float, int, int]:
     before = _matched(trained, layout)
     halves = {
         name: tensor.half() if tensor.is_floating_point() else tensor
-        for name, tensor in plain_state(trained).items()
+        for name, tensor in trained.state_dict().items()
     }
     weights = folder / "weights.safetensors"
     write_tensors(weights, halves)

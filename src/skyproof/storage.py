@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
-from torch import Tensor
+from torch import Tensor, nn
 
 from skyproof.documents import parse_document
 from skyproof.errors import NotFiniteError, StoredFileError
@@ -81,6 +81,11 @@ def tensors_digest(tensors: Mapping[str, Tensor]) -> str:
             tensor.detach().cpu().contiguous().reshape(-1).view(torch.uint8).numpy().tobytes()
         )
     return digest.hexdigest()
+
+
+def weights_digest(network: nn.Module) -> str:
+    """Computes the SHA-256 over names, shapes and bytes of parameters and buffers."""
+    return tensors_digest(network.state_dict())
 
 
 def _not_finite(tensors: Mapping[str, Tensor]) -> str | None:

@@ -21,14 +21,13 @@ from skyproof.attacks.world import World
 from skyproof.camouflage.folder import load_camouflage
 from skyproof.camouflage.make import make_camouflage
 from skyproof.detectors.detector import TrainableDetector
-from skyproof.detectors.weights import weights_digest
 from skyproof.errors import ConfigurationError, NotFiniteError, RunFolderError, StoredFileError
 from skyproof.files import alone
 from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.render.dataset import placed_vehicles
 from skyproof.render.renderer import TorchRenderer
 from skyproof.scenes.settings import SceneSettings
-from skyproof.storage import read_tensors
+from skyproof.storage import read_tensors, weights_digest
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 
 SCENES = SceneSettings(size_px=96, vehicles_maximum=1)

@@ -8,10 +8,10 @@ import pytest
 from PIL import Image
 
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.average_precision import average_precision
 from skyproof.detectors.inference import detect_all
 from skyproof.detectors.loaded import load_detector
 from skyproof.detectors.matching import match_images
+from skyproof.detectors.validation import average_precision
 from skyproof.main import run
 
 

@@ -6,8 +6,8 @@ import pytest
 import torch
 from detector_images import NAMES, bar_images
 
-from skyproof.detectors.build import build_detector
 from skyproof.detectors.detector import TrainableDetector
+from skyproof.detectors.loaded import build_detector
 
 
 @pytest.fixture(scope="session", params=NAMES)

@@ -17,9 +17,8 @@ from torch import Tensor, nn
 from torchvision.ops import box_convert
 
 from skyproof.detectors.anchor_detector import AnchorDetector, trainable_architecture
-from skyproof.detectors.import_checkpoint import Checkpoint, import_detector
+from skyproof.detectors.import_checkpoint import Checkpoint, import_detector, read_ultralytics
 from skyproof.detectors.loaded import load_detector
-from skyproof.detectors.stored_ultralytics import read_ultralytics
 from skyproof.errors import ConfigurationError, SkyproofError, StoredFileError
 
 pytestmark = NEEDS_YOLO

@@ -14,7 +14,7 @@ from skyproof.detectors.card import DetectorCard
 from skyproof.detectors.detector import Detections
 from skyproof.detectors.inference import detect_all
 from skyproof.detectors.loaded import load_detector
-from skyproof.detectors.threshold import validate
+from skyproof.detectors.validation import validate
 from skyproof.errors import ConfigurationError, DetectorAnswerError
 
 IMAGES = torch.zeros(1, 3, 40, 60)

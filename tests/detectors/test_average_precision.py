@@ -7,15 +7,15 @@ import pytest
 import torch
 
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.average_precision import (
+from skyproof.detectors.detector import Detections
+from skyproof.detectors.matching import match_images
+from skyproof.detectors.validation import (
     PrecisionRecall,
     average_precision,
     best_f1_threshold,
     frozen_threshold,
     precision_recall,
 )
-from skyproof.detectors.detector import Detections
-from skyproof.detectors.matching import match_images
 from skyproof.errors import ConfigurationError
 
 

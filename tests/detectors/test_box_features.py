@@ -11,9 +11,9 @@ from test_imported import ONE_OF_EACH, PLAN, yolo_plan
 from torch import Tensor
 from torchvision.ops.poolers import LevelMapper
 
-from skyproof.detectors.build import build_detector
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.imported import ImportedDetector
+from skyproof.detectors.loaded import build_detector
 from skyproof.detectors.region_align import area_levels
 from skyproof.reproduction.box_features import anchor_levels, box_features, pool_boxes
 

@@ -11,9 +11,8 @@ import pytest
 import torch
 
 from skyproof.detectors.blueprint import ARCHITECTURES, Blueprint
-from skyproof.detectors.build import build_detector
 from skyproof.detectors.card import LEAST_AP, LEAST_VEHICLES, DetectorCard, read_card
-from skyproof.detectors.loaded import save_detector
+from skyproof.detectors.loaded import build_detector, save_detector
 
 
 @pytest.mark.parametrize(

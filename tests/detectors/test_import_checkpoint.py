@@ -17,12 +17,11 @@ from safetensors.torch import load_file, save_file
 from torchvision.models.detection import fasterrcnn_mobilenet_v3_large_fpn, maskrcnn_resnet50_fpn
 
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.build import build_detector
 from skyproof.detectors.card import read_card
 from skyproof.detectors.import_checkpoint import Checkpoint, import_detector
-from skyproof.detectors.loaded import load_detector
-from skyproof.detectors.threshold import validate
+from skyproof.detectors.loaded import build_detector, load_detector
 from skyproof.detectors.ultralytics_detectors import _quiet_import
+from skyproof.detectors.validation import validate
 from skyproof.errors import ConfigurationError, RunFolderError, SkyproofError, StoredFileError
 
 SMALL = "fasterrcnn_mobilenet_v3_large_fpn"
@@ -236,7 +235,7 @@ def test_an_ultralytics_checkpoint(
 ) -> None:
     # An untrained network's few boxes hit nothing but by luck.
     scores = {"ap_centre_1m": 0.5, "ap_iou_50": 0.4, "f1": 0.6, "threshold": 0.3}
-    monkeypatch.setattr("skyproof.detectors.threshold.validate", lambda *_: dict(scores))
+    monkeypatch.setattr("skyproof.detectors.validation.validate", lambda *_: dict(scores))
     torch.manual_seed(0)
     count = 15 if "obb" in file else 80
     names = [f"class {index}" for index in range(count - 2)] + ["small vehicle", "truck"]

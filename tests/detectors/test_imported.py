@@ -17,11 +17,10 @@ from torchvision.ops import box_convert
 
 from skyproof.detectors.blueprint import ARCHITECTURES, Blueprint
 from skyproof.detectors.detector import TrainableDetector
-from skyproof.detectors.imported import ImportedDetector
-from skyproof.detectors.imported_torchvision import ImportedFasterRcnn, ImportedFcos
+from skyproof.detectors.imported import ImportedDetector, ImportedFasterRcnn, ImportedFcos
 from skyproof.detectors.ultralytics_detectors import _quiet_import
-from skyproof.detectors.weights import weights_digest
 from skyproof.errors import ConfigurationError
+from skyproof.storage import weights_digest
 
 LABELLED = bar_images(3, seed=1)
 IMAGES = torch.stack(LABELLED.images(range(len(LABELLED)))).float() / 255

@@ -12,12 +12,12 @@ from detector_images import YOLO_ANCHORS
 from tests.rendered_world import make_world
 
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.build import build_detector
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.inference import to_detector
+from skyproof.detectors.loaded import build_detector
 from skyproof.detectors.settings import TrainingSettings
-from skyproof.detectors.threshold import validate
 from skyproof.detectors.training import train
+from skyproof.detectors.validation import validate
 
 pytestmark = pytest.mark.slow
 

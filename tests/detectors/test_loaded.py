@@ -13,17 +13,17 @@ from detector_images import NAMES
 from safetensors.torch import load_file, save_file
 
 from skyproof.detectors.answers import BlackBoxDetector
-from skyproof.detectors.build import build_detector
 from skyproof.detectors.card import DetectorCard, read_card
 from skyproof.detectors.detector import Detections
 from skyproof.detectors.loaded import (
+    build_detector,
     copy_detector,
     load_detector,
     load_ensemble,
     save_detector,
 )
-from skyproof.detectors.weights import weights_digest
 from skyproof.errors import ConfigurationError, StoredFileError
+from skyproof.storage import weights_digest
 
 CARD = DetectorCard(
     name="retinanet",

@@ -6,10 +6,10 @@ import pytest
 import torch
 from detector_images import NAMES, bar_images
 
-from skyproof.detectors.build import build_detector
 from skyproof.detectors.detector import TrainableDetector
-from skyproof.detectors.weights import weights_digest
+from skyproof.detectors.loaded import build_detector
 from skyproof.errors import ConfigurationError
+from skyproof.storage import weights_digest
 
 LABELLED = bar_images(6, seed=1)
 IMAGES = torch.stack(LABELLED.images(range(len(LABELLED)))).float() / 255

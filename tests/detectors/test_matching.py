@@ -34,7 +34,6 @@ def test_higher_score_chooses_first_and_the_other_takes_what_is_free() -> None:
     )
     assert matches.truth_of_detection.tolist() == [1, 0, -1]
     assert matches.detection_of_truth.tolist() == [1, 0]
-    torch.testing.assert_close(matches.score_of_truth, torch.tensor([0.9, 0.5]))
 
 
 def test_a_second_detection_of_one_vehicle_is_a_false_alarm() -> None:
@@ -102,7 +101,6 @@ def test_nothing_detected_and_nothing_true() -> None:
         empty, torch.zeros(0), at((50, 50)), criterion="centre_1m", gsd_m=0.125
     )
     assert matches.detection_of_truth.tolist() == [-1]
-    assert matches.score_of_truth.tolist() == [0.0]
     matches = match_detections(
         at((5, 5)), torch.ones(1), empty, criterion="iou_50", gsd_m=0.125, ignore=empty
     )

@@ -19,7 +19,7 @@ from skyproof.detectors.reference_detectors import (
     REFERENCE_FOLDER,
     reference_folder,
 )
-from skyproof.detectors.threshold import validate
+from skyproof.detectors.validation import validate
 from skyproof.errors import ConfigurationError
 from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.render.dataset import placed_vehicles
@@ -108,16 +108,15 @@ def test_no_other_comes_trained(name: str) -> None:
 def test_halves_are_widened_wherever_a_detector_lies(tmp_path: Path) -> None:
     """A folder of the user's may hold halves, too; its digest is that of what is computed with."""
     from skyproof.detectors.loaded import save_detector
-    from skyproof.detectors.weights import plain_state, weights_digest
-    from skyproof.storage import write_tensors
+    from skyproof.storage import weights_digest, write_tensors
 
     judge = load_detector("retinanet")
     save_detector(tmp_path, judge, judge.card)
-    assert load_file(tmp_path / "weights.safetensors").keys() == plain_state(judge).keys()
+    assert load_file(tmp_path / "weights.safetensors").keys() == judge.state_dict().keys()
     single = (tmp_path / "weights.safetensors").stat().st_size
     halves = {
         name: tensor.half() if tensor.is_floating_point() else tensor
-        for name, tensor in plain_state(judge).items()
+        for name, tensor in judge.state_dict().items()
     }
     write_tensors(tmp_path / "weights.safetensors", halves)
     assert (tmp_path / "weights.safetensors").stat().st_size < 0.6 * single

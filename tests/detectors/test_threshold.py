@@ -6,7 +6,7 @@ from tests.measure.world import judging
 
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.detector import Detections
-from skyproof.detectors.threshold import frozen_card
+from skyproof.detectors.validation import frozen_card
 from skyproof.errors import ConfigurationError
 
 SIDE_PX = 800

@@ -13,12 +13,10 @@ import torch
 from detector_images import bar_images
 
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.augmentation import jitter, turn
-from skyproof.detectors.build import build_detector
-from skyproof.detectors.loaded import load_detector
+from skyproof.detectors.batches import jitter, turn
+from skyproof.detectors.loaded import build_detector, load_detector
 from skyproof.detectors.settings import DETECTOR_NAMES, SIZES, TRAINING_PRESETS, TrainingSettings
 from skyproof.detectors.training import train
-from skyproof.detectors.weights import weights_digest
 from skyproof.errors import (
     ConfigurationError,
     NotFiniteError,
@@ -26,7 +24,7 @@ from skyproof.errors import (
     StoredFileError,
 )
 from skyproof.files import alone
-from skyproof.storage import read_tensors
+from skyproof.storage import read_tensors, weights_digest
 
 SETTINGS = TrainingSettings(
     steps=6, batch_size=2, learning_rate=1e-3, validate_every=3, checkpoint_every=2

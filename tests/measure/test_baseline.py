@@ -10,9 +10,9 @@ import pytest
 import torch
 
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.average_precision import average_precision
 from skyproof.detectors.detector import Detections
 from skyproof.detectors.matching import match_images
+from skyproof.detectors.validation import average_precision
 from skyproof.errors import ConfigurationError
 from skyproof.measure import baseline as clean
 

@@ -35,11 +35,10 @@ from skyproof.camouflage.folder import (
 )
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.inference import device_of
-from skyproof.detectors.weights import weights_digest
 from skyproof.errors import ConfigurationError, NotFiniteError
 from skyproof.files import alone, write_beside
 from skyproof.loop import Loop, LoopPart, refuse_other
-from skyproof.storage import tensors_digest
+from skyproof.storage import tensors_digest, weights_digest
 
 _CONVERGED = 0.02
 """An attack has converged if twice the steps hide a share that is larger by at most this."""

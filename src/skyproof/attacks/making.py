@@ -25,10 +25,10 @@ from skyproof.camouflage.folder import read_record, save_camouflage
 from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.settings import CamouflageSettings
 from skyproof.detectors.detector import Detector, TrainableDetector
-from skyproof.detectors.weights import weights_digest
 from skyproof.files import drop_empty_folder, finished_folder
 from skyproof.loop import refuse_other
 from skyproof.randomness import generator_of
+from skyproof.storage import weights_digest
 
 Progress = Callable[[int, int], None]
 

@@ -10,8 +10,8 @@ from torch import Tensor
 
 from skyproof.detectors.detector import Candidates, Detector, TrainableDetector
 from skyproof.detectors.matching import CENTRE_DISTANCE_M
-from skyproof.detectors.weights import weights_digest
 from skyproof.render.frames import Frames
+from skyproof.storage import weights_digest
 
 _FOOLED = 0.03
 """At this share of the loss without camouflage a vehicle is nearly hidden and left alone."""

@@ -29,13 +29,13 @@ from skyproof.camouflage.displacement import DisplacementMap
 from skyproof.camouflage.folder import load_camouflage, read_record, save_camouflage
 from skyproof.camouflage.texture import UniversalTexture
 from skyproof.detectors.detector import Detector
-from skyproof.detectors.weights import weights_digest
 from skyproof.documents import check_document
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import alone
 from skyproof.loop import Loop, refuse_other
 from skyproof.randomness import generator_of
 from skyproof.ranges import Fraction
+from skyproof.storage import weights_digest
 
 _OTHER = "a search with other settings or from another start"
 _SPREAD = 0.2

@@ -43,7 +43,7 @@ class Train:
     def run(self) -> None:
         """Trains the detector, and prints how good it is on the validation images."""
         from skyproof.datasets.dataset import Dataset
-        from skyproof.detectors.build import build_detector
+        from skyproof.detectors.loaded import build_detector
         from skyproof.detectors.training import train
         from skyproof.device import choose_device
         from skyproof.randomness import generator_of

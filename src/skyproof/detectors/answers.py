@@ -13,16 +13,14 @@ from torch import Tensor
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.card import DetectorCard
 from skyproof.detectors.detector import Detections, Detector
-from skyproof.detectors.threshold import frozen_card
+from skyproof.detectors.validation import frozen_card
 from skyproof.errors import ConfigurationError, DetectorAnswerError, SkyproofError
 from skyproof.ranges import is_name
 
-_SHOWN = 200
-_GO_ON = "the same command goes on where it stopped"
-
-
 Answering = Callable[[Any], Sequence[object]]
 """A function from images to the boxes and scores of each; see `BlackBoxDetector`."""
+
+_GO_ON = "the same command goes on where it stopped"
 
 
 class BlackBoxDetector(Detector):
@@ -32,9 +30,6 @@ class BlackBoxDetector(Detector):
     gives boxes `[K, 4]` (left, top, right, bottom in pixels) and scores `[K]` in [0, 1] of each
     image: as a pair, or as attributes or items called `boxes` and `scores`. Its name in tables is
     that of the card, `name`, or its own `name` or `__name__`.
-
-    Raises:
-        ConfigurationError: it cannot be called, or has no name that can be a file's.
     """
 
     def __init__(
@@ -53,12 +48,7 @@ class BlackBoxDetector(Detector):
             )
 
     def freeze(self, labelled: Dataset | None) -> None:
-        """Freezes the threshold on labelled images, which gives the detector its card.
-
-        Raises:
-            ConfigurationError: no image or vehicle is given, or the detector finds none.
-            DetectorAnswerError: it does not answer, or its answer is impossible.
-        """
+        """Freezes the threshold on labelled images, which gives the detector its card."""
         if labelled is None:
             raise ConfigurationError(
                 f"The threshold of {self.name} is frozen on labelled images, got none; give a "
@@ -69,11 +59,7 @@ class BlackBoxDetector(Detector):
 
     @torch.no_grad()
     def detect(self, images: Float[Tensor, "B 3 H W"]) -> list[Detections]:
-        """See `Detector.detect`.
-
-        Raises:
-            DetectorAnswerError: the detector failed, or its answer is impossible.
-        """
+        """See `Detector.detect`; a DetectorAnswerError says how it failed."""
         try:
             answers = self._detect(images)
         except SkyproofError:
@@ -98,9 +84,8 @@ class BlackBoxDetector(Detector):
         except (AttributeError, KeyError, TypeError, ValueError, RuntimeError) as error:
             raise self._wrong("each image expects boxes and scores", _in_short(error)) from error
         if scores.ndim != 1 or (tuple(boxes.shape) != (len(scores), 4) and boxes.numel()):
-            raise self._wrong(
-                "boxes are [K, 4] and scores [K]", f"{[*boxes.shape]} and {[*scores.shape]}"
-            )
+            shapes = f"{[*boxes.shape]} and {[*scores.shape]}"
+            raise self._wrong("boxes are [K, 4] and scores [K]", shapes)
         if len(scores) and not boxes.numel():
             raise self._wrong("every score has a box", f"{len(scores)} scores without boxes")
         boxes = boxes.reshape(-1, 4)
@@ -140,5 +125,5 @@ def _parts(answer: Any) -> tuple[Any, Any]:
 
 
 def _in_short(error: Exception) -> str:
-    text = " ".join(str(error).split())[:_SHOWN].rstrip(".")
+    text = " ".join(str(error).split())[:200].rstrip(".")
     return f"{type(error).__name__}: {text}" if text else type(error).__name__

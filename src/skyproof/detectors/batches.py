@@ -5,13 +5,11 @@ import math
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.nn import functional
 
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.augmentation import jitter, turn
-from skyproof.detectors.common import PADDING_GREY
-
-# Training cuts larger images into windows of this size, the paper's tile (section 5.2).
-WINDOW_PX = 384
+from skyproof.detectors.detector import PADDING_GREY
+from skyproof.detectors.inference import WINDOW_PX
 
 
 def training_batch(
@@ -20,11 +18,9 @@ def training_batch(
     """Makes the images and boxes of one step, counted from 0.
 
     They depend on seed and step alone, so that a resumed training is exact. Of an image wider or
-    higher than 384 px a random window is shown; smaller ones are padded with grey to the largest of
-    the batch. `jitter_strength` is 0 for no photometric augmentation, 1 for a mild one.
-
-    Returns:
-        sRGB images in [0, 1], and the vehicle boxes `[n, 4]` of each image, pixel xyxy.
+    higher than 384 px (the paper's tile, section 5.2) a random window is shown; smaller ones are
+    padded with grey to the largest of the batch. Images are sRGB in [0, 1], boxes `[n, 4]` pixel
+    xyxy.
     """
     # Every epoch shuffles the images anew.
     count = len(training)
@@ -42,14 +38,10 @@ def training_batch(
         vehicles = training.boxes[index].float()
         # A box out of sight or beyond a border has no area, and its loss would not be finite.
         in_sight = (vehicles[:, 2:] > vehicles[:, :2]).all(dim=1)
-        shown, boxes, ignore = window(
-            decoded,
-            vehicles[in_sight],
-            training.ignore[index].float(),
-            generator=generator,
-        )
+        ignored = training.ignore[index].float()
+        shown, boxes, ignore = window(decoded, vehicles[in_sight], ignored, generator=generator)
         image = _hide_ignored(shown.float() / 255, boxes, ignore)
-        turns = int(torch.randint(8, (1,), generator=generator)) % 4
+        turns = int(torch.randint(8, (1,), generator=generator))
         mirror = bool(torch.rand(1, generator=generator) < 0.5)
         image, boxes = turn(image, boxes, quarter_turns=turns, mirror=mirror)
         images.append(image)
@@ -119,3 +111,72 @@ def _hide_ignored(image: Tensor, boxes: Tensor, ignore: Tensor) -> Tensor:
         for left, top, right, bottom in regions.clamp(min=0).tolist():
             hidden[math.floor(top) : math.ceil(bottom), math.floor(left) : math.ceil(right)] = value
     return torch.where(hidden, image.mean(dim=(1, 2), keepdim=True), image)
+
+
+def turn(
+    image: Float[Tensor, "3 H W"], boxes: Float[Tensor, "n 4"], *, quarter_turns: int, mirror: bool
+) -> tuple[Float[Tensor, "3 H2 W2"], Float[Tensor, "n 4"]]:
+    """Mirrors left to right, then turns counter-clockwise by quarters; boxes follow exactly."""
+    if mirror:
+        image = image.flip(2)
+        width = image.shape[2]
+        boxes = torch.stack(
+            [width - boxes[:, 2], boxes[:, 1], width - boxes[:, 0], boxes[:, 3]], dim=1
+        )
+    for _ in range(quarter_turns % 4):
+        width = image.shape[2]
+        image = image.rot90(1, (1, 2))
+        boxes = torch.stack(
+            [boxes[:, 1], width - boxes[:, 2], boxes[:, 3], width - boxes[:, 0]], dim=1
+        )
+    return image, boxes
+
+
+def jitter(
+    images: Float[Tensor, "B 3 H W"], strength: float, *, generator: torch.Generator
+) -> Float[Tensor, "B 3 H W"]:
+    """Changes light and colour of each image, and blurs or adds noise to some.
+
+    Real and rendered imagery differ in all of these, so a detector should not depend on them.
+    Strength 0 leaves the images unchanged; 1 is mild (brightness ±0.1, contrast and gamma ±25 %,
+    colour ±10 %; a quarter blurred by up to 1.3 px, three in ten with noise of up to 0.03).
+    """
+    if strength == 0:
+        return images
+    count = len(images)
+
+    def draw(low: float, high: float, channels: int = 1) -> Tensor:
+        values = torch.rand(count, channels, 1, 1, generator=generator) * (high - low) + low
+        return values.to(images) * strength
+
+    mean = images.mean(dim=(1, 2, 3), keepdim=True)
+    images = (images - mean) * draw(-0.25, 0.25).exp() + mean + draw(-0.1, 0.1)
+    images = images * draw(-0.1, 0.1, channels=3).exp()
+    images = images.clamp(1e-4, 1) ** draw(-0.25, 0.25).exp()
+    grey = images.mean(dim=1, keepdim=True)
+    images = grey + (images - grey) * draw(-0.4, 0.3).exp()
+    sigmas_px = draw(0.3, 1.3).flatten().tolist()
+    blurred = (torch.rand(count, generator=generator) < 0.25).tolist()
+    images = torch.stack(
+        [
+            _blur(image[None], sigma_px)[0] if chosen else image
+            for image, sigma_px, chosen in zip(images, sigmas_px, blurred, strict=True)
+        ]
+    )
+    noisy = torch.rand(count, generator=generator) < 0.3
+    deviation = draw(0.0, 0.03)[noisy.to(images.device)]
+    # The CPU draws, so that every device trains on the same images.
+    noise = torch.randn((int(noisy.sum()), *images.shape[1:]), generator=generator).to(images)
+    images[noisy.to(images.device)] += noise * deviation
+    return images.clamp(0, 1)
+
+
+def _blur(images: Tensor, sigma_px: float) -> Tensor:
+    radius = max(1, math.ceil(2 * sigma_px))
+    offsets = torch.arange(-radius, radius + 1, dtype=images.dtype, device=images.device)
+    kernel = torch.exp(-(offsets**2) / (2 * sigma_px**2))
+    kernel = (kernel / kernel.sum()).expand(3, 1, 1, -1)
+    padded = functional.pad(images, (radius,) * 4, mode="replicate")
+    return functional.conv2d(
+        functional.conv2d(padded, kernel, groups=3), kernel.transpose(2, 3), groups=3
+    )

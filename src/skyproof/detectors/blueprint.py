@@ -38,12 +38,11 @@ nn.BatchNorm2d nn.Conv2d nn.ConvTranspose2d nn.Identity nn.MaxPool2d nn.Upsample
 _LAYERS = frozenset(_LAYER_NAMES.split())
 _ACTIVATION = re.compile(r"(torch\.)?nn\.[A-Z]\w*\((\w+=[\w.]+|[0-9.]+)?\)")
 
-ClassName = Annotated[str, Meta(max_length=200)]
-Classes = Annotated[list[ClassName], Meta(max_length=5000)]
+Classes = Annotated[list[Annotated[str, Meta(max_length=200)]], Meta(max_length=5000)]
 
 _Whole = Annotated[int, Meta(ge=-8192, le=8192)]
 _Real = Annotated[float, Meta(ge=-8192, le=8192)]
-# Ultralytics reads a text that is no name as a number or a list. Looked at by `_check_words`: a
+# Ultralytics reads a text that is no name as a number or a list. `_check_words` looks at it: a
 # `pattern` in such a nest of types makes msgspec 0.22 crash when the program ends (its issue 717).
 _Word = Annotated[str, Meta(max_length=100)]
 _NAME = re.compile(r"[A-Za-z][\w.()=]*")
@@ -60,11 +59,7 @@ _Row = tuple[
 _Rows = Annotated[list[_Row], Meta(max_length=200)]
 _Scale = Annotated[float, Meta(gt=0, le=16)]
 _Limit = Annotated[float, Meta(gt=0, le=65_536)]
-
-
-_Anchors = Annotated[
-    list[Annotated[float, Meta(gt=0, le=65_536)]], Meta(min_length=2, max_length=20)
-]
+_Anchors = Annotated[list[_Limit], Meta(min_length=2, max_length=20)]
 
 
 class _Architecture(msgspec.Struct):
@@ -95,13 +90,9 @@ class Blueprint:
             stores none.
         vehicle_classes: positions of the classes that are vehicles.
         image_scale: network pixels per image pixel; 1 if the network takes the images as they are.
-        norm_eps: epsilon of the batch norm, if torchvision's published weights use another one than
-            its layers; else None.
-        checkpoint: name of the source file.
-        checkpoint_sha256: digest of the source file.
-
-    Raises:
-        ConfigurationError: no network can be built from a value.
+        norm_eps: epsilon of the backbone's batch norm, if torchvision's published weights use
+            another one than its layers; else None.
+        checkpoint, checkpoint_sha256: name and digest of the source file.
     """
 
     kind: str
@@ -135,10 +126,6 @@ def check_layers(architecture: Any) -> None:
 
     It is the content of an Ultralytics YAML file: "backbone" and "head" with rows [from, count,
     layer, arguments].
-
-    Raises:
-        ConfigurationError: another layer, head or activation, a number out of bounds, or images
-            without exactly three channels.
     """
     try:
         read = msgspec.convert(architecture, _Architecture)

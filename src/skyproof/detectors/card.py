@@ -13,14 +13,7 @@ from skyproof.detectors.reference_detectors import detector_folder, reinstalled
 from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import write_json
-from skyproof.ranges import (
-    Fraction,
-    GroundResolution,
-    Name,
-    WholeNumber,
-    check_ranges,
-    is_name,
-)
+from skyproof.ranges import Fraction, GroundResolution, Name, WholeNumber, check_ranges, is_name
 from skyproof.words import detector_name
 
 LEAST_AP = 0.2
@@ -45,8 +38,6 @@ _Side = Annotated[int, Meta(ge=0, le=16_384)]
 _Word = Annotated[str, Meta(max_length=100)]
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
-# The name of the average of all detectors in tables.
-_TAKEN = ("mean",)
 
 
 @dataclass(frozen=True)
@@ -54,7 +45,6 @@ class DetectorCard:
     """The content of `detector.json`. A black-box detector needs name, threshold and resolution.
 
     Attributes:
-        format: version of the file format.
         name: name in tables: one of `DETECTOR_NAMES` for ours, the given name for another detector.
         size: "slim" or "full" for ours, "brought" for an imported one; else empty.
         threshold: frozen score threshold; see `frozen_threshold`.
@@ -121,11 +111,7 @@ class DetectorCard:
 
 
 def write_card(path: Path, card: DetectorCard) -> None:
-    """Writes `detector.json`.
-
-    Raises:
-        RunFolderError: the disk is full or not writable.
-    """
+    """Writes `detector.json`."""
     write_json(path, asdict(card))
 
 
@@ -143,7 +129,13 @@ def read_card(folder: Path) -> DetectorCard:
             "skyproof import, and give that."
         )
     with reinstalled(place):
-        return read_document(place / "detector.json", DetectorCard, _REMEDY, version=_FORMAT)
+        path = place / "detector.json"
+        card: DetectorCard = read_document(path, DetectorCard, _REMEDY, version=_FORMAT)
+        if not card.weights_sha256 and (place / "weights.safetensors").exists():
+            raise StoredFileError(
+                f"{path} lacks the weights_sha256 of the weights beside it; {_REMEDY}."
+            )
+        return card
 
 
 def installed_version() -> str:
@@ -155,13 +147,10 @@ def installed_version() -> str:
 
 
 def require_detector_name(name: str, remedy: str) -> None:
-    """Refuses a detector name that tables or files cannot use; `remedy` is the error's advice.
-
-    Raises:
-        ConfigurationError: the name is not valid, or taken.
-    """
-    if not _NAME.fullmatch(name) or not is_name(name) or name in _TAKEN:
+    """Refuses a detector name that tables or files cannot use; `remedy` is the error's advice."""
+    # "mean" is the average of all detectors in tables.
+    if not _NAME.fullmatch(name) or not is_name(name) or name == "mean":
         raise ConfigurationError(
             f"{name[:200]!r} is no name for a detector: at most 150 letters, digits, . _ - are, "
-            f"and {' and '.join(_TAKEN)} is taken; {remedy}."
+            f"and mean is taken; {remedy}."
         )

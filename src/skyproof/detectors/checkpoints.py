@@ -47,12 +47,7 @@ def read_checkpoint(path: Path) -> Any:
     """Reads the content of a `.safetensors` file or a file of `torch.save`.
 
     Tensors come on the CPU, foreign objects as `StandIn`.
-
-    Raises:
-        StoredFileError: the file is missing, damaged, no checkpoint, or names anything that no
-            checkpoint needs.
     """
-    path = Path(path)
     if not path.is_file():
         raise StoredFileError(f"{path} is missing; give a checkpoint file.")
     try:
@@ -76,10 +71,7 @@ def read_checkpoint(path: Path) -> Any:
 
 
 def network_of(content: Any) -> Any:
-    """Finds the state dict or stored network in the result of `read_checkpoint`.
-
-    It is `content` itself if that wraps none.
-    """
+    """Finds the state dict or stored network in the result of `read_checkpoint`, or gives that."""
     if isinstance(content, Mapping):
         wrapped = (content.get(key) for key in _WRAPPINGS)
         return next((value for value in wrapped if isinstance(value, Mapping | StandIn)), content)
@@ -89,9 +81,7 @@ def network_of(content: Any) -> Any:
 def state_of(network: Any) -> dict[str, Tensor]:
     """Parameters and buffers by name, in float32, from a state dict or a whole stored network.
 
-    Raises:
-        StoredFileError: a tensor claims more numbers than the file holds, is sparse, quantised or
-            without numbers, or the network has no end.
+    A tensor that claims more numbers than the file holds, or holds none, is refused.
     """
     if isinstance(network, StandIn):
         found = dict(_walk(network))

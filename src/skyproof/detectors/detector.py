@@ -1,4 +1,4 @@
-"""The interface of a detector."""
+"""The interface of a detector, and the checks, padding and targets that all of them share."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,10 +6,12 @@ from dataclasses import dataclass
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
+from torch.nn import functional
 from torchvision import ops
 
 from skyproof.detectors.card import DetectorCard
-from skyproof.detectors.weights import weights_digest
+from skyproof.errors import ConfigurationError
+from skyproof.storage import weights_digest
 
 Images = Float[Tensor, "B 3 H W"]
 """sRGB images in [0, 1]."""
@@ -17,6 +19,8 @@ Images = Float[Tensor, "B 3 H W"]
 Boxes = Float[Tensor, "_ 4"]
 """Pixel xyxy, half-open, origin at the top-left corner."""
 
+SMALLEST_IMAGE_PX = 96
+PADDING_GREY = 0.45
 LOWEST_SCORE = 0.01
 _MOST_DETECTIONS = 100
 SUPPRESSION_IOU = 0.5
@@ -26,13 +30,7 @@ _MOST_CANDIDATES = 1000
 
 @dataclass(frozen=True)
 class Detections:
-    """The detections in one image.
-
-    Attributes:
-        boxes: `[K, 4]` pixel xyxy, half-open, origin at the top-left corner; sorted by falling
-            score.
-        scores: `[K]` in [0, 1].
-    """
+    """The detections in one image: `Boxes`, sorted by falling score, and scores in [0, 1]."""
 
     boxes: Float[Tensor, "K 4"]
     scores: Float[Tensor, " K"]
@@ -42,10 +40,7 @@ class Detections:
 class Candidates:
     """A detector's boxes before threshold and non-maximum suppression; differentiable.
 
-    Attributes:
-        boxes: `[B, K, 4]` pixel xyxy.
-        scores: `[B, K]` in [0, 1].
-        valid: `[B, K]` False for rows of padding.
+    Boxes are pixel xyxy, scores in [0, 1]; rows of padding are not valid.
     """
 
     boxes: Float[Tensor, "B K 4"]
@@ -67,11 +62,7 @@ class Detector:
     card: DetectorCard
 
     def detect(self, images: Images) -> list[Detections]:
-        """Finds vehicles in sRGB images in [0, 1].
-
-        Returns:
-            Every detection of each image with score >= 0.01, after suppression.
-        """
+        """Finds vehicles in sRGB images in [0, 1]: all with score >= 0.01, after suppression."""
         raise NotImplementedError
 
     @property
@@ -132,11 +123,43 @@ def _suppress(candidates: Candidates, height_px: int, width_px: int) -> list[Det
         clipped = ops.clip_boxes_to_image(boxes, (height_px, width_px))
         sides = clipped[:, 2:] - clipped[:, :2]
         keep = valid & (scores >= LOWEST_SCORE) & (sides > 0.5).all(dim=1)
-        kept_scores, order = scores[keep].sort(descending=True, stable=True)
-        kept_scores, kept_boxes = (
-            kept_scores[:_MOST_CANDIDATES],
-            clipped[keep][order[:_MOST_CANDIDATES]],
-        )
+        ordered, order = scores[keep].sort(descending=True, stable=True)
+        kept_scores = ordered[:_MOST_CANDIDATES]
+        kept_boxes = clipped[keep][order[:_MOST_CANDIDATES]]
         best = ops.nms(kept_boxes, kept_scores, SUPPRESSION_IOU)[:_MOST_DETECTIONS]
         found.append(Detections(kept_boxes[best].detach(), kept_scores[best].detach().clamp(0, 1)))
     return found
+
+
+def check_images(images: Tensor) -> None:
+    """Refuses images that no detector here can read."""
+    if images.ndim != 4 or images.shape[1] != 3 or min(images.shape[-2:]) < SMALLEST_IMAGE_PX:
+        raise ConfigurationError(
+            "A detector expects images [B, 3, H, W] with H and W of at least "
+            f"{SMALLEST_IMAGE_PX} px, but got {list(images.shape)}; use larger tiles."
+        )
+
+
+def check_targets(images: Tensor, targets: Sequence[Tensor]) -> None:
+    """Refuses targets without one box tensor per image."""
+    if len(targets) != len(images):
+        raise ConfigurationError(
+            f"A loss expects one tensor of boxes per image, but got {len(targets)} for "
+            f"{len(images)}."
+        )
+
+
+def pad_to_stride(
+    images: Float[Tensor, "B 3 H W"], value: float, stride_px: int = 32
+) -> Float[Tensor, "B 3 H2 W2"]:
+    """Pads right and below until both sides are multiples of `stride_px`; coordinates stay."""
+    height, width = images.shape[-2:]
+    return functional.pad(images, (0, -width % stride_px, 0, -height % stride_px), value=value)
+
+
+def as_targets(boxes: Tensor) -> dict[str, Tensor]:
+    """Boxes as a torchvision target: class 1 is the vehicle, 0 the background."""
+    return {
+        "boxes": boxes,
+        "labels": torch.ones(len(boxes), dtype=torch.int64, device=boxes.device),
+    }

@@ -1,25 +1,44 @@
-"""An imported detector at its own resolution, ready to be evaluated and attacked."""
+"""Imported detectors at their own resolution, and torchvision's with classes of their own."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import torch
 from jaxtyping import Float
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn import functional
+from torchvision.models import detection
+from torchvision.ops import sigmoid_focal_loss
 
 from skyproof.detectors.anchor_detector import AnchorDetector
-from skyproof.detectors.blueprint import Blueprint
-from skyproof.detectors.common import (
+from skyproof.detectors.blueprint import ARCHITECTURES, Blueprint
+from skyproof.detectors.detector import (
     PADDING_GREY,
     SMALLEST_IMAGE_PX,
+    Boxes,
+    Candidates,
+    Images,
+    TrainableDetector,
     check_images,
     check_targets,
 )
-from skyproof.detectors.detector import Boxes, Candidates, Images, TrainableDetector
-from skyproof.detectors.imported_torchvision import build_torchvision
-from skyproof.detectors.torchvision_detectors import TorchvisionDetector
+from skyproof.detectors.torchvision_detectors import (
+    POSITIVES_PER_VEHICLE,
+    FasterRcnnDetector,
+    RetinaNetDetector,
+    TorchvisionDetector,
+)
 from skyproof.detectors.ultralytics_detectors import YoloNetwork
 from skyproof.errors import ConfigurationError
+
+# The mean and deviation of torchvision's own transform.
+MEAN = (0.485, 0.456, 0.406)
+DEVIATION = (0.229, 0.224, 0.225)
+# The layer with one row per class, or one per class and each of nine anchors.
+_CLASS_ROWS = {
+    "fasterrcnn": ("roi_heads.box_predictor.cls_score.bias", 1),
+    "fcos": ("head.classification_head.cls_logits.bias", 1),
+    "retinanet": ("head.classification_head.cls_logits.bias", 9),
+}
 
 
 class ImportedDetector(TrainableDetector):
@@ -42,11 +61,7 @@ class ImportedDetector(TrainableDetector):
             self.network = _network(blueprint)
 
     def loss(self, images: Images, targets: Sequence[Boxes]) -> Float[Tensor, " B"]:
-        """The network's own loss per image against an empty truth, normalised (section 3.2).
-
-        Raises:
-            ConfigurationError: a target holds a vehicle; imported detectors are not trained here.
-        """
+        """The network's own loss per image against an empty truth, normalised (section 3.2)."""
         check_targets(images, targets)
         if any(len(boxes) for boxes in targets):
             raise ConfigurationError(
@@ -88,8 +103,8 @@ class ImportedDetector(TrainableDetector):
 
 def _network(blueprint: Blueprint) -> TorchvisionDetector | YoloNetwork | AnchorDetector:
     if isinstance(blueprint.architecture, dict):
-        network: YoloNetwork | AnchorDetector
         # The checkpoint gives the names of classes, its architecture the number in the head.
+        network: YoloNetwork | AnchorDetector
         if "anchors" in blueprint.architecture:
             known = int(blueprint.architecture.get("nc", 0))
             network = AnchorDetector(blueprint.architecture, blueprint.vehicle_classes, "brought")
@@ -102,9 +117,98 @@ def _network(blueprint: Blueprint) -> TorchvisionDetector | YoloNetwork | Anchor
                 "the network tells apart; give a checkpoint as Ultralytics saves it."
             )
         return network
-    return build_torchvision(
+    return _build_torchvision(
         blueprint.architecture,
         len(blueprint.classes),
         blueprint.vehicle_classes,
         blueprint.norm_eps,
     )
+
+
+def count_classes(architecture: str, state: Mapping[str, Tensor]) -> int:
+    """The number of classes in the weights, Faster R-CNN's background included."""
+    if architecture not in ARCHITECTURES:
+        raise ConfigurationError(
+            f"--architecture expects one of {', '.join(ARCHITECTURES)}, got {architecture!r}."
+        )
+    name, anchors = _CLASS_ROWS[architecture.partition("_")[0]]
+    rows = len(state[name]) if name in state and state[name].ndim == 1 else 0
+    if not rows or rows % anchors:
+        held = (
+            f"{rows} class scores in {name}, not a multiple of {anchors}" if rows else f"no {name}"
+        )
+        raise ConfigurationError(
+            f"The weights do not fit {architecture}: they hold {held}; give the --architecture "
+            "they were trained as."
+        )
+    return rows // anchors
+
+
+def _build_torchvision(
+    architecture: str, class_count: int, vehicle_classes: Sequence[int], norm_eps: float | None
+) -> TorchvisionDetector:
+    """Builds the network of one of `ARCHITECTURES`, without weights; it never resizes."""
+    model = getattr(detection, architecture)(
+        weights=None, weights_backbone=None, num_classes=class_count
+    )
+    for layer in model.backbone.modules():
+        if norm_eps is not None and isinstance(layer, nn.BatchNorm2d):
+            layer.eps = norm_eps
+    families = {
+        "fasterrcnn": ImportedFasterRcnn,
+        "fcos": ImportedFcos,
+        "retinanet": _ImportedRetinaNet,
+    }
+    return families[architecture.partition("_")[0]](model, tuple(vehicle_classes))
+
+
+class _Imported(TorchvisionDetector):
+    """torchvision's normalising, and the vehicle classes, whose sigmoid scores are independent."""
+
+    def __init__(self, model: nn.Module, vehicle_classes: tuple[int, ...]) -> None:
+        TorchvisionDetector.__init__(self, "brought", model)
+        self.vehicle_classes = vehicle_classes
+
+    def _normalise(self, images: Tensor) -> Tensor:
+        mean, deviation = (images.new_tensor(each).view(3, 1, 1) for each in (MEAN, DEVIATION))
+        return (images - mean) / deviation
+
+    def _outputs(self, images: Tensor) -> tuple[dict[str, Tensor], Tensor]:
+        outputs, anchors = super()._outputs(images)
+        vehicles = outputs["cls_logits"][..., list(self.vehicle_classes)]
+        return {**outputs, "cls_logits": vehicles}, anchors
+
+
+class ImportedFasterRcnn(_Imported, FasterRcnnDetector):
+    """Faster R-CNN whose loss wants every region to be background, regardless of its class."""
+
+
+class _ImportedRetinaNet(_Imported, RetinaNetDetector):
+    """A RetinaNet of which only the vehicle classes count."""
+
+
+class ImportedFcos(_Imported):
+    """FCOS: a vehicle's score is the root of class score times centredness, as in torchvision."""
+
+    name = "fcos"
+
+    def loss(self, images: Images, targets: Sequence[Boxes]) -> Float[Tensor, " B"]:
+        """torchvision's focal loss of the vehicle classes against an empty truth.
+
+        It is divided by the points that one vehicle gets. Without one, centredness has no loss.
+        """
+        check_targets(images, targets)
+        logits = self._outputs(images)[0]["cls_logits"]
+        focal = sigmoid_focal_loss(logits, torch.zeros_like(logits))
+        return focal.sum(dim=(1, 2)) / POSITIVES_PER_VEHICLE
+
+    def candidates(self, images: Images) -> Candidates:
+        """Every point's box and score."""
+        outputs, anchors = self._outputs(images)
+        deltas = outputs["bbox_regression"]
+        boxes = self.model.box_coder.decode(deltas, anchors.expand(len(images), -1, -1))
+        # The slope of the root is infinite at 0.
+        centredness = outputs["bbox_ctrness"][..., 0].sigmoid()
+        product = outputs["cls_logits"].amax(dim=-1).sigmoid() * centredness
+        scores = product.clamp(min=1e-12).sqrt()
+        return Candidates(boxes, scores, torch.ones_like(scores, dtype=torch.bool))

@@ -1,7 +1,7 @@
 """Runs detectors over many images, and over large images window by window."""
 
 import itertools
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import torch
 from jaxtyping import Float, UInt8
@@ -16,7 +16,7 @@ LARGEST_WHOLE_PX = 1024
 """Images with a longer side are split into windows."""
 
 WINDOW_PX = 384
-WINDOW_OVERLAP_PX = 96
+_WINDOW_OVERLAP_PX = 96
 """The paper's tile: a window of 48 m holds at most the 100 vehicles that a detector can return. The
 overlap is two cars long."""
 
@@ -29,25 +29,21 @@ _WINDOW_BATCH_SIZE = 8
 
 
 def detect_all(detector: Detector, dataset: Dataset) -> list[Detections]:
-    """Runs `detect` over all images, as `detect_by_each` does for several detectors."""
+    """Does what `detect_by_each` does for several detectors."""
     return detect_by_each([detector], dataset)[0]
 
 
 def detect_by_each(detectors: Sequence[Detector], dataset: Dataset) -> list[list[Detections]]:
-    """Runs `detect` of every detector over all images, in batches of one size.
+    """Gives each detector's detections of every image, in its pixels, by falling score.
 
     Images are decoded batch by batch, once for all detectors. An image of more than 1024 px a side
     is split into windows of 384 px that overlap by at least 96 px; the window whose core holds a
     detection's centre keeps it, and duplicates at the seams are suppressed. So neither memory nor a
     detector's largest number of detections limits the result on a large image.
 
-    Returns:
-        Per detector the detections of each image, in the image's pixels, by falling score.
-
     Raises:
-        StoredFileError: an image file of a dataset folder is missing or damaged.
-        ImageryError: an annotated frame cannot be read.
-        DetectorAnswerError: as `detect_batch`.
+        StoredFileError, ImageryError: an image is missing or damaged.
+        DetectorAnswerError: a black-box detector failed, or its answer is impossible.
     """
     sizes = dataset.sizes_px
     results: list[list[Detections]] = [[] for _ in detectors]
@@ -68,11 +64,7 @@ def detect_by_each(detectors: Sequence[Detector], dataset: Dataset) -> list[list
 
 
 def detect_batch(detector: Detector, images: UInt8[Tensor, "B 3 H W"]) -> list[Detections]:
-    """Runs `detect` on sRGB bytes, on the detector's own device.
-
-    Raises:
-        DetectorAnswerError: a black-box detector failed, or its answer is impossible.
-    """
+    """Runs `detect` on sRGB bytes, on the detector's own device."""
     return detector.detect(to_detector(detector, images))
 
 
@@ -90,21 +82,17 @@ def device_of(thing: object) -> torch.device:
     return torch.device("cpu") if first is None else first.device
 
 
-def covering_windows(
-    size_px: tuple[int, int], *, window_px: int = WINDOW_PX, overlap_px: int = WINDOW_OVERLAP_PX
-) -> list[Window]:
-    """Covers a picture with equal windows, row by row, that overlap by at least `overlap_px`.
-
-    One window covers a side shorter than `window_px`.
-    """
-    lefts, width = _starts(size_px[0], window_px, overlap_px)
-    tops, height = _starts(size_px[1], window_px, overlap_px)
+def covering_windows(size_px: tuple[int, int]) -> list[Window]:
+    """Covers a picture with equal windows, row by row; one covers a side shorter than its own."""
+    lefts, width = _starts(size_px[0])
+    tops, height = _starts(size_px[1])
     return [Window(left, top, width, height) for top in tops for left in lefts]
 
 
-def _starts(side_px: int, window_px: int, overlap_px: int) -> tuple[list[int], int]:
+def _starts(side_px: int) -> tuple[list[int], int]:
     """The starts of the windows along one side, and their length."""
-    length = min(side_px, window_px)
+    length = min(side_px, WINDOW_PX)
+    overlap_px = _WINDOW_OVERLAP_PX
     count = 1 if side_px == length else -(-(side_px - overlap_px) // (length - overlap_px))
     step = (side_px - length) / max(count - 1, 1)
     return [round(index * step) for index in range(count)], length
@@ -117,31 +105,26 @@ def _is_large(size_px: tuple[int, int]) -> bool:
 def _batches(sizes_px: Sequence[tuple[int, int]]) -> Iterator[list[int]]:
     """Indices of neighbours of one size, at most a batch; each large image is alone."""
     for size, group in itertools.groupby(range(len(sizes_px)), key=lambda index: sizes_px[index]):
-        yield from _cut(group, 1 if _is_large(size) else _BATCH_SIZE)
-
-
-def _cut(items: Iterable[int], length: int) -> Iterator[list[int]]:
-    waiting = iter(items)
-    while part := list(itertools.islice(waiting, length)):
-        yield part
+        while part := list(itertools.islice(group, 1 if _is_large(size) else _BATCH_SIZE)):
+            yield part
 
 
 def _detect_in_windows(detector: Detector, picture: Picture) -> Detections:
     """Runs a detector over a large picture window by window, and merges the detections."""
     windows = covering_windows(picture.size_px)
-    cores = _cores(windows)
+    around = zip(windows, _cores(windows), strict=True)
     views = picture.windows(windows)
     boxes: list[Tensor] = []
     scores: list[Tensor] = []
-    for start in range(0, len(windows), _WINDOW_BATCH_SIZE):
-        numbers = range(start, min(start + _WINDOW_BATCH_SIZE, len(windows)))
-        images = torch.stack(list(itertools.islice(views, len(numbers))))
-        for number, found in zip(numbers, detect_batch(detector, images), strict=True):
-            window = windows[number]
+    while images := list(itertools.islice(views, _WINDOW_BATCH_SIZE)):
+        answers = detect_batch(detector, torch.stack(images))
+        for found, (window, core) in zip(
+            answers, itertools.islice(around, len(images)), strict=True
+        ):
             shift = torch.tensor([window.left, window.top] * 2, dtype=torch.float32)
             moved = found.boxes.cpu() + shift
             centres = (moved[:, :2] + moved[:, 2:]) / 2
-            kept = ((centres >= cores[number, :2]) & (centres < cores[number, 2:])).all(dim=1)
+            kept = ((centres >= core[:2]) & (centres < core[2:])).all(dim=1)
             boxes.append(moved[kept])
             scores.append(found.scores.cpu()[kept])
     all_boxes = torch.cat(boxes)

@@ -1,4 +1,4 @@
-"""Detectors as folders: `weights.safetensors` and `detector.json` (no pickle)."""
+"""Detectors by name, untrained, and as folders: `weights.safetensors` and `detector.json`."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -10,26 +10,50 @@ import torch
 
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.answers import Answering, BlackBoxDetector
-from skyproof.detectors.build import build_detector
 from skyproof.detectors.card import DetectorCard, read_card, write_card
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.reference_detectors import detector_folder, reinstalled
 from skyproof.detectors.settings import DETECTOR_NAMES, SIZES
-from skyproof.detectors.threshold import frozen_card
-from skyproof.detectors.weights import plain_state
+from skyproof.detectors.validation import frozen_card
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import finished_folder, inside, write_bytes
 from skyproof.storage import read_tensors, write_tensors
 
 
-def save_detector(folder: Path, detector: TrainableDetector, card: DetectorCard) -> None:
-    """Writes the folder; `detector.json` comes last, so a folder that has it is complete.
+def build_detector(name: str, size: str, *, generator: torch.Generator) -> TrainableDetector:
+    """Builds an untrained detector on the CPU; its initial weights depend on `generator` alone.
+
+    `size` is "slim" (about 1 to 2.5 M parameters, for a CPU) or "full" (9 to 43 M, for a GPU).
 
     Raises:
-        RunFolderError: the disk is full or not writable.
+        ConfigurationError: another name or size, or the yolo extra is missing.
     """
-    folder = Path(folder)
-    write_tensors(folder / "weights.safetensors", plain_state(detector))
+    seed = int(torch.randint(2**62, (1,), generator=generator))
+    # The libraries draw initial weights from torch's global generator: it is lent a seed here and
+    # gets its state back.
+    with torch.random.fork_rng(devices=[]):
+        torch.default_generator.manual_seed(seed)
+        # Late imports, so that matching and average precision do not load the networks.
+        if name == "yolov5":
+            from skyproof.detectors.ultralytics_detectors import YoloV5Detector
+
+            return YoloV5Detector(size)
+        if name == "yolov5_anchors":
+            from skyproof.detectors.anchor_detector import AnchorDetector, trainable_architecture
+
+            return AnchorDetector(trainable_architecture(size), [0], size)
+        if name not in DETECTOR_NAMES:
+            raise ConfigurationError(
+                f"{name[:100]!r} is no detector; choose from {', '.join(DETECTOR_NAMES)}."
+            )
+        from skyproof.detectors.torchvision_detectors import FasterRcnnDetector, RetinaNetDetector
+
+        return RetinaNetDetector(size) if name == "retinanet" else FasterRcnnDetector(size)
+
+
+def save_detector(folder: Path, detector: TrainableDetector, card: DetectorCard) -> None:
+    """Writes the folder; `detector.json` comes last, so a folder that has it is complete."""
+    write_tensors(folder / "weights.safetensors", detector.state_dict())
     # The digest ties both files together, so that a foreign weights file is noticed.
     write_card(folder / "detector.json", replace(card, weights_sha256=detector.weights_sha256))
 
@@ -37,9 +61,7 @@ def save_detector(folder: Path, detector: TrainableDetector, card: DetectorCard)
 def copy_detector(folder: Path, out: Path, also: Sequence[str] = ()) -> None:
     """Copies the files of a detector, and those of `also` that exist, into a `finished_folder`.
 
-    Raises:
-        StoredFileError: a file is a link that leads out of the folder.
-        RunFolderError: the disk is full or not writable.
+    A file that is a link out of the folder is refused.
     """
     for name in ("weights.safetensors", *also, "detector.json"):
         file = inside(folder, name, folder)
@@ -84,7 +106,13 @@ def _load(folder: Path, card: DetectorCard) -> TrainableDetector:
     path = folder / "weights.safetensors"
     tensors, _ = read_tensors(path, "copy the whole folder again, or train the detector again")
     try:
-        detector = _of_card(card)
+        detector: TrainableDetector
+        if card.brought is None:
+            detector = build_detector(card.name, card.size, generator=torch.Generator())
+        else:
+            from skyproof.detectors.imported import ImportedDetector
+
+            detector = ImportedDetector(card.name, card.brought)
     except ConfigurationError as error:
         if card.brought is None and card.name in DETECTOR_NAMES and card.size in SIZES:
             raise
@@ -114,13 +142,9 @@ def _load(folder: Path, card: DetectorCard) -> TrainableDetector:
 def load_ensemble(
     folders: Sequence[Path], device: torch.device | str, gsd_m: float, *, apart: bool = False
 ) -> list[TrainableDetector]:
-    """Loads detectors that will see the same images, onto the device they will run on.
+    """Loads detectors that will see the same images of one resolution, onto a device.
 
     With `apart` they are used one by one, and detectors of one kind take their folders' names.
-
-    Raises:
-        ConfigurationError: two share a name, or one has another resolution than the images.
-        StoredFileError: a folder is missing, damaged or of another version.
     """
     ensemble: list[TrainableDetector] = []
     for folder in folders:
@@ -149,11 +173,6 @@ def copy_with_threshold(
     """Writes a copy of a detector folder to `out` with its threshold frozen on labelled images.
 
     The card mentions the names of `labelled`. Returns a sentence on the change.
-
-    Raises:
-        ConfigurationError: as `frozen_card`.
-        StoredFileError: the folder is damaged.
-        RunFolderError: `out` exists, or the disk cannot take it.
     """
     with finished_folder(out) as partial:
         (detector,) = load_ensemble([folder], device, read_card(folder).gsd_m)
@@ -164,11 +183,3 @@ def copy_with_threshold(
         card = replace(detector.card, threshold=threshold, threshold_from=how)
         save_detector(partial, detector, card)
     return f"Threshold {threshold:.3f} instead of {detector.threshold:.3f}: {how}."
-
-
-def _of_card(card: DetectorCard) -> TrainableDetector:
-    if card.brought is None:
-        return build_detector(card.name, card.size, generator=torch.Generator())
-    from skyproof.detectors.imported import ImportedDetector
-
-    return ImportedDetector(card.name, card.brought)

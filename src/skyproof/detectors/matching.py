@@ -26,20 +26,14 @@ _PART = 512
 
 
 class Matches(NamedTuple):
-    """The pairing of one image's detections with its vehicles.
+    """The pairing of one image's detections with its vehicles; -1 stands for no partner.
 
-    Attributes:
-        truth_of_detection: `[K]` index of the matched vehicle, or -1.
-        ignored: `[K]` True for an unmatched detection in an ignore region: neither a hit nor a
-            false alarm.
-        detection_of_truth: `[T]` index of the matched detection, or -1 for a missed vehicle.
-        score_of_truth: `[T]` score of that detection, 0 for a missed vehicle.
+    An unmatched detection in an ignore region is `ignored`: neither a hit nor a false alarm.
     """
 
     truth_of_detection: Int64[Tensor, " K"]
-    ignored: Bool[Tensor, " K"]
     detection_of_truth: Int64[Tensor, " T"]
-    score_of_truth: Float[Tensor, " T"]
+    ignored: Bool[Tensor, " K"]
 
 
 @dataclass(frozen=True)
@@ -49,19 +43,16 @@ class MatchTable:
     It leaves out detections in ignore regions, and vehicles out of sight, whose box has no area.
 
     Attributes:
-        criterion: the rule, as in `match_detections`.
         images: number of images.
-        scores: `[K]` scores of the detections that count, best first; equal ones keep their order.
-        hits: `[K]` whether each of them found a vehicle.
-        image_of_detection: `[K]` image of each of them.
-        image_of_vehicle: `[T]` image of each vehicle, rising.
-        index_of_vehicle: `[T]` its index among the boxes of its image.
-        score_of_vehicle: `[T]` score of the detection that found it at any threshold; 0 for none.
-        distance_of_vehicle_m: `[T]` metres between the centres of vehicle and detection; nan for
-            none.
+        scores: scores of the detections that count, best first; equal ones keep their order.
+        hits: whether each of them found a vehicle.
+        image_of_detection: image of each of them.
+        image_of_vehicle: image of each vehicle, rising.
+        index_of_vehicle: its index among the boxes of its image.
+        score_of_vehicle: score of the detection that found it at any threshold; 0 for none.
+        distance_of_vehicle_m: metres between the centres of vehicle and detection; nan for none.
     """
 
-    criterion: Criterion
     images: int
     scores: Float[np.ndarray, " K"]
     hits: Bool[np.ndarray, " K"]
@@ -102,9 +93,6 @@ def match_images(
     """Matches the detections in every image of a set with its vehicles, as `match_detections`.
 
     Only boxes, ignore regions and `gsd_m` of `labelled` are read.
-
-    Raises:
-        ConfigurationError: the numbers of detections and images differ.
     """
     if len(detections) != len(labelled):
         raise ConfigurationError(
@@ -121,23 +109,27 @@ def match_images(
         image_scores = found.scores.cpu()
         in_sight = (truth[:, 2:] > truth[:, :2]).all(dim=1).nonzero()[:, 0].cpu()
         shown = truth.cpu()[in_sight]
+        gsd_m = labelled.gsd_m
         matches = match_detections(
-            boxes,
-            image_scores,
-            shown,
-            criterion=criterion,
-            gsd_m=labelled.gsd_m,
-            ignore=ignore.cpu(),
+            boxes, image_scores, shown, criterion=criterion, gsd_m=gsd_m, ignore=ignore.cpu()
         )
         counted = ~matches.ignored
         scores.append(image_scores[counted].numpy())
         hits.append((matches.truth_of_detection[counted] >= 0).numpy())
         images.append(np.full(int(counted.sum()), image))
-        vehicles.append(_vehicles(image, in_sight, shown, boxes, matches, labelled.gsd_m))
+        # Each vehicle's image, index among its boxes, score and distance.
+        rows = np.tile([image, 0, 0, np.nan], (len(shown), 1))
+        rows[:, 1] = in_sight.numpy()
+        matched = matches.detection_of_truth >= 0
+        partners = matches.detection_of_truth[matched]
+        rows[matched.numpy(), 2] = image_scores[partners].double().numpy()
+        offset_px = _centres(boxes[partners] - shown[matched])
+        distance_px = torch.linalg.vector_norm(offset_px, dim=1)
+        rows[matched.numpy(), 3] = distance_px.double().numpy() * gsd_m
+        vehicles.append(rows)
     order = np.argsort(-np.concatenate(scores).astype(np.float64), kind="stable")
     table = np.concatenate(vehicles)
     return MatchTable(
-        criterion=criterion,
         images=len(labelled),
         scores=np.concatenate(scores)[order],
         hits=np.concatenate(hits)[order],
@@ -166,9 +158,6 @@ def match_detections(
     ("centre_in_box") it takes the nearest centre among the vehicles within 1.0 m and those whose
     box holds its own centre, so that a detection of half a vehicle counts. Equal scores keep their
     order. An unmatched detection with its centre in an `ignore` region does not count.
-
-    Raises:
-        ConfigurationError: another criterion, or a resolution that is not positive.
     """
     if criterion not in get_args(Criterion) or not gsd_m > 0:
         raise ConfigurationError(
@@ -176,8 +165,7 @@ def match_detections(
             f"{criterion} and {gsd_m}."
         )
     centres = _centres(boxes)
-    # Find the pairs that are near enough. Large images have thousands of detections, so the
-    # table of all pairs is made in parts.
+    # Large images have thousands of detections, so the table of all pairs is made in parts.
     pairs: dict[int, list[tuple[float, int]]] = {}
     for start in range(0, len(boxes) if len(truth) else 0, _PART):
         part = slice(start, start + _PART)
@@ -195,46 +183,19 @@ def match_detections(
         costs = cost[near[:, 0], near[:, 1]].tolist()
         for (detection, vehicle), value in zip(near.tolist(), costs, strict=True):
             pairs.setdefault(start + detection, []).append((value, vehicle))
-    # Detections choose one after the other, on the CPU.
+    # Detections choose one after the other.
     truth_of_detection = torch.full((len(boxes),), -1, dtype=torch.int64)
     detection_of_truth = torch.full((len(truth),), -1, dtype=torch.int64)
-    for detection in torch.argsort(scores.cpu(), descending=True, stable=True).tolist():
+    for detection in torch.argsort(scores, descending=True, stable=True).tolist():
         free = [pair for pair in pairs.get(detection, ()) if detection_of_truth[pair[1]] < 0]
         if free:
             best = min(free)[1]
             truth_of_detection[detection] = best
             detection_of_truth[best] = detection
-    # Find the unmatched detections in ignore regions.
-    ignored = torch.zeros(len(boxes), dtype=torch.bool, device=boxes.device)
+    ignored = torch.zeros(len(boxes), dtype=torch.bool)
     if ignore is not None and len(ignore):
-        unmatched = truth_of_detection.to(boxes.device) < 0
-        ignored = _inside(centres, ignore).any(dim=1) & unmatched
-    truth_of_detection = truth_of_detection.to(boxes.device)
-    detection_of_truth = detection_of_truth.to(boxes.device)
-    found = detection_of_truth >= 0
-    score_of_truth = scores.new_zeros(len(truth))
-    score_of_truth[found] = scores[detection_of_truth[found]]
-    return Matches(truth_of_detection, ignored, detection_of_truth, score_of_truth)
-
-
-def _vehicles(
-    image: int,
-    in_sight: Int64[Tensor, " T"],
-    truth: Float[Tensor, "T 4"],
-    boxes: Float[Tensor, "K 4"],
-    matches: Matches,
-    gsd_m: float,
-) -> Float[np.ndarray, "T 4"]:
-    """One image's vehicles in sight as rows: image, index among its boxes, score, distance."""
-    matched = matches.detection_of_truth >= 0
-    offset_px = boxes[matches.detection_of_truth[matched]] - truth[matched]
-    distance_px = torch.linalg.vector_norm(offset_px.view(-1, 2, 2).mean(dim=1), dim=1)
-    rows = np.full((len(truth), 4), np.nan)
-    rows[:, 0] = image
-    rows[:, 1] = in_sight.numpy()
-    rows[:, 2] = matches.score_of_truth.double().numpy()
-    rows[matched.numpy(), 3] = distance_px.double().numpy() * gsd_m
-    return rows
+        ignored = _inside(centres, ignore).any(dim=1) & (truth_of_detection < 0)
+    return Matches(truth_of_detection, detection_of_truth, ignored)
 
 
 def _reaches(scores: Float[np.ndarray, " n"], threshold: float) -> Bool[np.ndarray, " n"]:

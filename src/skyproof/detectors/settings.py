@@ -67,8 +67,6 @@ else:
 # 2,000 synthetic tiles of 192 px, one thread: 600 steps take 100 to 120 CPU-seconds, for a centre
 # AP of 0.96 to 0.98.
 _CPU = TrainingSettings(steps=600, batch_size=8, validate_every=200)
-
-
 # The paper trains 10,000 iterations with batch 640 or 128 (its appendix on training details); it
 # gives no learning rates.
 _GPU = TrainingSettings(
@@ -80,8 +78,6 @@ _GPU = TrainingSettings(
     validate_every=1000,
     checkpoint_every=500,
 )
-
-
 TRAINING_PRESETS: dict[tuple[str, str], TrainingSettings] = {
     (name, size): settings
     for size, settings in (("slim", _CPU), ("full", _GPU))

@@ -1,6 +1,7 @@
 """RetinaNet and Faster R-CNN of torchvision, with losses per image over all negatives."""
 
 import math
+from collections import OrderedDict
 from collections.abc import Sequence
 from functools import partial
 
@@ -23,16 +24,18 @@ from torchvision.models.detection.image_list import ImageList
 from torchvision.models.detection.retinanet import RetinaNetHead
 from torchvision.models.detection.rpn import RPNHead, concat_box_prediction_layers
 
-from skyproof.detectors.common import (
+from skyproof.detectors.detector import (
+    Boxes,
+    Candidates,
+    Images,
+    TrainableDetector,
     as_targets,
     check_images,
     check_targets,
     pad_to_stride,
 )
-from skyproof.detectors.detector import Boxes, Candidates, Images, TrainableDetector
 from skyproof.detectors.region_align import CentreAlign
 from skyproof.detectors.settings import check_size
-from skyproof.detectors.slim import PYRAMID_CHANNELS, REGION_CHANNELS, SlimBackbone
 
 # Bounding boxes of a 36x15 px vehicle: 36x15 along an axis (side ratio 2.4), 36x36 across the
 # diagonal.
@@ -47,9 +50,13 @@ FULL_RATIOS = (0.5, 1.0, 2.0)
 POSITIVES_PER_VEHICLE = 8.0
 # In Faster R-CNN's proposal network more anchors find a vehicle, and cross-entropy does
 # not saturate: the sum is about 60 per vehicle for the trained slim detector.
-EMPTY_PROPOSAL_DIVISOR = 64.0
+_EMPTY_PROPOSAL_DIVISOR = 64.0
 PRIOR_PROBABILITY = 0.01
 PROPOSALS = {"slim": 100, "full": 300}
+# Channels of the slim feature pyramid and of the heads on it; a multiple of 8.
+_PYRAMID_CHANNELS = 64
+# Numbers in each hidden layer of the slim Faster R-CNN's region head.
+_REGION_CHANNELS = 192
 
 
 class TorchvisionDetector(TrainableDetector):
@@ -74,6 +81,13 @@ class TorchvisionDetector(TrainableDetector):
     def _normalise(self, images: Tensor) -> Tensor:
         return (images - 0.45) / 0.25
 
+    def _outputs(self, images: Tensor) -> tuple[dict[str, Tensor], Tensor]:
+        """The answers of a one-stage network's head for every anchor, and the anchors."""
+        named, image_list = self._features(images)
+        features = list(named.values())
+        # Images of one batch share their size and therefore their anchors.
+        return self.model.head(features), self.model.anchor_generator(image_list, features)[0]
+
     @torch.no_grad()
     def pyramid(self, images: Images) -> tuple[list[Tensor], int]:
         """See `TrainableDetector.pyramid`."""
@@ -93,11 +107,10 @@ class RetinaNetDetector(TorchvisionDetector):
         super().__init__(size, _build_retinanet(size))
 
     def loss(self, images: Images, targets: Sequence[Boxes]) -> Float[Tensor, " B"]:
-        """torchvision's focal and box losses per image.
+        """torchvision's focal and box losses per image, over all anchors.
 
         Each is divided by its image's positive anchors. With an empty truth torchvision does not
-        divide the focal sum; here it is divided by the positives of a single vehicle, so that one
-        detected vehicle costs about one. All anchors without a vehicle count.
+        divide the focal sum; here it is divided by the positives of a single vehicle.
         """
         check_targets(images, targets)
         outputs, anchors = self._outputs(images)
@@ -107,10 +120,8 @@ class RetinaNetDetector(TorchvisionDetector):
                 matched = self.model.proposal_matcher(ops.box_iou(boxes, anchors))
             else:
                 matched = torch.full((len(anchors),), -1, dtype=torch.int64, device=anchors.device)
-            target = as_targets(boxes)
-            # torchvision's one class of num_classes=1 has label 0: RetinaNet keeps no background
-            # class.
-            target["labels"] = torch.zeros_like(target["labels"])
+            # RetinaNet keeps no background class, so the label of its one class is 0.
+            target = {**as_targets(boxes), "labels": matched.new_zeros(len(boxes))}
             own = {key: value[index : index + 1] for key, value in outputs.items()}
             terms = self.model.head.compute_loss([target], own, [anchors], [matched])
             divisor = 1.0 if len(boxes) else POSITIVES_PER_VEHICLE
@@ -126,12 +137,6 @@ class RetinaNetDetector(TorchvisionDetector):
         )
         scores = outputs["cls_logits"].amax(dim=-1).sigmoid()
         return Candidates(boxes.view_as(deltas), scores, torch.ones_like(scores, dtype=torch.bool))
-
-    def _outputs(self, images: Tensor) -> tuple[dict[str, Tensor], Tensor]:
-        named, image_list = self._features(images)
-        features = list(named.values())
-        # Images of one batch share their size and therefore their anchors.
-        return self.model.head(features), self.model.anchor_generator(image_list, features)[0]
 
 
 class FasterRcnnDetector(TorchvisionDetector):
@@ -191,14 +196,11 @@ class FasterRcnnDetector(TorchvisionDetector):
             len(best), logits.shape[1], 4
         )
         boxes = decoded[torch.arange(len(columns), device=best.device), columns]
-        return Candidates(
-            pad_sequence(boxes.split(counts), batch_first=True),
-            pad_sequence(scores.split(counts), batch_first=True),
-            pad_sequence(
-                [torch.ones_like(own[:, 0], dtype=torch.bool) for own in proposals],
-                batch_first=True,
-            ),
+        valid = torch.ones_like(scores, dtype=torch.bool)
+        padded = (
+            pad_sequence(each.split(counts), batch_first=True) for each in (boxes, scores, valid)
         )
+        return Candidates(*padded)
 
     def _proposal_outputs(
         self, named: dict[str, Tensor], image_list: ImageList
@@ -241,7 +243,7 @@ class FasterRcnnDetector(TorchvisionDetector):
             objectness[counted], labels[0][counted], reduction="sum"
         )
         if not len(truth):
-            return entropy / EMPTY_PROPOSAL_DIVISOR
+            return entropy / _EMPTY_PROPOSAL_DIVISOR
         divisor = positive.sum().clamp(min=POSITIVES_PER_VEHICLE)
         wanted = network.box_coder.encode_single(matched[0][positive], anchors[positive])
         return (
@@ -253,7 +255,7 @@ class FasterRcnnDetector(TorchvisionDetector):
         self, logits: Tensor, deltas: Tensor, regions: Tensor, truth: Tensor
     ) -> Tensor:
         if not len(regions):
-            # There is no proposal: a mean over no region would not be finite.
+            # A mean over no region would not be finite.
             return logits.sum()
         heads = self.model.roi_heads
         target = as_targets(truth)
@@ -269,7 +271,7 @@ class FasterRcnnDetector(TorchvisionDetector):
 
 def _cost_of_the_sure(objectness: Tensor, logits: Tensor) -> Tensor:
     """The loss with an empty truth in a form that stays exact, so above 0, for scores near 0."""
-    cost = functional.softplus(objectness).sum() / EMPTY_PROPOSAL_DIVISOR
+    cost = functional.softplus(objectness).sum() / _EMPTY_PROPOSAL_DIVISOR
     if len(logits):
         doubt = logits[:, 1:].logsumexp(dim=1) - logits[:, 0]
         cost = cost + functional.softplus(doubt).mean()
@@ -286,7 +288,7 @@ def _build_retinanet(size: str) -> RetinaNet:
     anchors = AnchorGenerator(SLIM_SIDES_PX, (SLIM_RATIOS,) * len(SLIM_SIDES_PX))
     # This comes before the backbone: the order decides the initial weights of a seed.
     head = RetinaNetHead(
-        PYRAMID_CHANNELS,
+        _PYRAMID_CHANNELS,
         anchors.num_anchors_per_location()[0],
         1,
         norm_layer=partial(nn.GroupNorm, 8),
@@ -294,15 +296,15 @@ def _build_retinanet(size: str) -> RetinaNet:
     for branch in (head.classification_head, head.regression_head):
         # Two of torchvision's four convolutions are enough for one class and halve the time.
         branch.conv = branch.conv[:2]
-    return RetinaNet(SlimBackbone(), num_classes=1, anchor_generator=anchors, head=head)
+    return RetinaNet(_SlimBackbone(), num_classes=1, anchor_generator=anchors, head=head)
 
 
 def _build_faster_rcnn(size: str) -> FasterRCNN:
     check_size(size)
     limits = {
-        f"rpn_{stage}_nms_top_n_{mode}": count
+        f"rpn_{stage}_nms_top_n_{mode}": times * PROPOSALS[size]
         for mode in ("train", "test")
-        for stage, count in (("pre", 3 * PROPOSALS[size]), ("post", PROPOSALS[size]))
+        for stage, times in (("pre", 3), ("post", 1))
     }
     if size == "full":
         model = fasterrcnn_resnet50_fpn_v2(
@@ -314,15 +316,14 @@ def _build_faster_rcnn(size: str) -> FasterRCNN:
     else:
         anchors = AnchorGenerator(SLIM_SIDES_PX, (SLIM_RATIOS,) * len(SLIM_SIDES_PX))
         model = FasterRCNN(
-            SlimBackbone(),
+            _SlimBackbone(),
             rpn_anchor_generator=anchors,
-            rpn_head=RPNHead(PYRAMID_CHANNELS, anchors.num_anchors_per_location()[0]),
+            rpn_head=RPNHead(_PYRAMID_CHANNELS, anchors.num_anchors_per_location()[0]),
             rpn_fg_iou_thresh=0.6,
-            # A bin of a 36 px region is smaller than a stride of 8 px: one sample in each is
-            # enough.
+            # A bin of a 36 px region is smaller than a stride of 8 px, so one sample is enough.
             box_roi_pool=CentreAlign((8.0, 16.0), output_size=5),
-            box_head=TwoMLPHead(PYRAMID_CHANNELS * 5 * 5, REGION_CHANNELS),
-            box_predictor=FastRCNNPredictor(REGION_CHANNELS, 2),
+            box_head=TwoMLPHead(_PYRAMID_CHANNELS * 5 * 5, _REGION_CHANNELS),
+            box_predictor=FastRCNNPredictor(_REGION_CHANNELS, 2),
             **limits,
         )
         for layer in model.rpn.head.conv.modules():
@@ -333,3 +334,50 @@ def _build_faster_rcnn(size: str) -> FasterRCNN:
         model.rpn.head.cls_logits.bias, -math.log((1 - PRIOR_PROBABILITY) / PRIOR_PROBABILITY)
     )
     return model
+
+
+def _convolution(inputs: int, outputs: int, stride: int = 1) -> nn.Sequential:
+    return nn.Sequential(
+        nn.Conv2d(inputs, outputs, 3, stride=stride, padding=1, bias=False),
+        nn.BatchNorm2d(outputs),
+        nn.ReLU(inplace=True),
+    )
+
+
+class _Residual(nn.Module):
+    """Two 3x3 convolutions beside the identity; the second starts at zero, for easy training."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.first = _convolution(channels, channels)
+        self.second = nn.Conv2d(channels, channels, 3, padding=1, bias=False)
+        self.normalise = nn.BatchNorm2d(channels)
+        nn.init.zeros_(self.normalise.weight)
+
+    def forward(self, features: Float[Tensor, "B C h w"]) -> Float[Tensor, "B C h w"]:
+        return functional.relu(features + self.normalise(self.second(self.first(features))))
+
+
+class _SlimBackbone(nn.Module):
+    """Four stages with a feature pyramid at strides 8 and 16.
+
+    A vehicle of 36x15 px spans 4.5x2 cells at stride 8; it would vanish at stride 32.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        # Channels at strides 2, 4, 8 and 16.
+        first, second, third, fourth = 24, 48, 96, 128
+        self.out_channels = _PYRAMID_CHANNELS
+        self.to_stride_4 = nn.Sequential(
+            _convolution(3, first, stride=2),
+            _convolution(first, second, stride=2),
+            _Residual(second),
+        )
+        self.to_stride_8 = nn.Sequential(_convolution(second, third, stride=2), _Residual(third))
+        self.to_stride_16 = nn.Sequential(_convolution(third, fourth, stride=2), _Residual(fourth))
+        self.pyramid = ops.FeaturePyramidNetwork([third, fourth], _PYRAMID_CHANNELS)
+
+    def forward(self, images: Float[Tensor, "B 3 H W"]) -> OrderedDict[str, Tensor]:
+        stride_8 = self.to_stride_8(self.to_stride_4(images))
+        return self.pyramid(OrderedDict([("0", stride_8), ("1", self.to_stride_16(stride_8))]))

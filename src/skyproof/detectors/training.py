@@ -15,16 +15,16 @@ from torch.optim.swa_utils import AveragedModel
 
 from skyproof.datasets.dataset import Dataset
 from skyproof.datasets.pictures import made_ahead
-from skyproof.detectors.batches import WINDOW_PX, training_batch
+from skyproof.detectors.batches import training_batch
 from skyproof.detectors.card import DetectorCard, installed_version
 from skyproof.detectors.detector import TrainableDetector
+from skyproof.detectors.inference import WINDOW_PX
 from skyproof.detectors.loaded import load_detector, save_detector
 from skyproof.detectors.settings import TrainingSettings
-from skyproof.detectors.threshold import check_validation, validate
-from skyproof.detectors.weights import plain_state
+from skyproof.detectors.validation import check_validation, validate
 from skyproof.errors import ConfigurationError, NotFiniteError
 from skyproof.files import alone
-from skyproof.loop import Loop, LoopPart, refuse_other
+from skyproof.loop import Loop, refuse_other
 
 _Tensors = tuple[Tensor, ...] | list[Tensor]
 
@@ -57,15 +57,10 @@ def train(
         generator: source of one number, the seed of order and augmentation.
         on_step: called with each row of `steps.jsonl`, for progress display.
 
-    Returns:
-        The card of the stored detector.
-
     Raises:
         ConfigurationError: no training image, or no vehicle to validate with.
-        NotFiniteError: the loss, its gradient or a weight is no longer finite; the last checkpoint
-            stays.
-        RunFolderError: the folder holds a training with other settings or images, another process
-            works there, or the disk is full.
+        NotFiniteError: loss, gradient or a weight is not finite; the last checkpoint stays.
+        RunFolderError: the folder holds another training, or another process works there.
         StoredFileError: the checkpoint is damaged.
     """
     folder = Path(folder)
@@ -83,23 +78,24 @@ def train(
         return _finished(detector, folder, identity)
 
     detector.train().to(memory_format=torch.channels_last)
+    device = next(detector.parameters()).device
     averaged = _averaged(detector, settings)
+    follower = cast(TrainableDetector, averaged.module)
     optimiser = _optimiser(detector, settings)
     schedule = LambdaLR(optimiser, lambda step: _learning_rate(step, settings))
     best = _Best()
-    parts: dict[str, LoopPart] = {
-        "detector": detector,
-        "averaged": averaged,
-        "optimiser": optimiser,
-        "schedule": schedule,
-        "best": best,
-    }
     loop = Loop(
         folder,
         identity,
         settings.steps,
         settings.checkpoint_every,
-        parts,
+        {
+            "detector": detector,
+            "averaged": averaged,
+            "optimiser": optimiser,
+            "schedule": schedule,
+            "best": best,
+        },
         other=_OTHER,
         remedy=f"remove {folder} and train again",
         on_row=on_step,
@@ -109,61 +105,45 @@ def train(
         if (folder / "detector.json").exists():
             return _finished(detector, folder, identity)
         loop.resume()
-        _take_steps(detector, training, validation, settings, loop)
+        batches = made_ahead(
+            partial(
+                training_batch,
+                training,
+                batch_size=settings.batch_size,
+                jitter_strength=settings.jitter,
+                seed=seed,
+            ),
+            range(loop.step, settings.steps),
+        )
+        for step, (images, targets) in zip(loop, batches, strict=True):
+            images = images.to(device).contiguous(memory_format=torch.channels_last)
+            loss = detector.loss(images, [boxes.to(device) for boxes in targets]).mean()
+            optimiser.zero_grad(set_to_none=True)
+            loss.backward()
+            norm = nn.utils.clip_grad_norm_(detector.parameters(), settings.largest_gradient_norm)
+            # One transfer for both, because each one waits for the GPU.
+            if not torch.isfinite(loss.detach() + norm):
+                raise NotFiniteError(
+                    f"The training loss is {loss.item():g} and its gradient {float(norm):g} at "
+                    f"step {step}; train again in another folder, with a lower learning rate "
+                    f"than {settings.learning_rate:g}."
+                )
+            optimiser.step()
+            (rate, _) = schedule.get_last_lr()
+            schedule.step()
+            averaged.update_parameters(detector)
+            loop.report(
+                {"kind": "step", "step": step, "loss": float(loss.detach()), "learning_rate": rate}
+            )
+            if step % settings.validate_every == 0 or step == settings.steps:
+                scores = validate(follower, validation)
+                best.keep(follower, scores, step)
+                loop.report({"kind": "validation", "step": step, **scores})
         detector.load_state_dict(best.weights)
         card = _card(detector.eval(), best.scores, identity, training, validation)
         save_detector(folder, detector, card)
         loop.forget()
     return card
-
-
-def _take_steps(
-    detector: TrainableDetector,
-    training: Dataset,
-    validation: Dataset,
-    settings: TrainingSettings,
-    loop: Loop,
-) -> None:
-    """Takes the remaining steps; the best averaged weights are in the loop's part "best"."""
-    averaged = cast(AveragedModel, loop.parts["averaged"])
-    follower = cast(TrainableDetector, averaged.module)
-    optimiser = cast(torch.optim.AdamW, loop.parts["optimiser"])
-    schedule = cast(LambdaLR, loop.parts["schedule"])
-    best = cast(_Best, loop.parts["best"])
-    device = next(detector.parameters()).device
-    make = partial(
-        training_batch,
-        training,
-        batch_size=settings.batch_size,
-        jitter_strength=settings.jitter,
-        seed=loop.identity["seed"],
-    )
-    batches = made_ahead(make, range(loop.step, settings.steps))
-    for step, (images, targets) in zip(loop, batches, strict=True):
-        images = images.to(device).contiguous(memory_format=torch.channels_last)
-        loss = detector.loss(images, [boxes.to(device) for boxes in targets]).mean()
-        optimiser.zero_grad(set_to_none=True)
-        loss.backward()
-        norm = nn.utils.clip_grad_norm_(detector.parameters(), settings.largest_gradient_norm)
-        # One transfer for both, because each one waits for the GPU.
-        if not torch.isfinite(loss.detach() + norm):
-            raise NotFiniteError(
-                f"The training loss is {loss.item():g} and its gradient {float(norm):g} at step "
-                f"{step}; train again in another folder, with a lower learning rate "
-                f"than {settings.learning_rate:g}."
-            )
-        optimiser.step()
-        (rate, _) = schedule.get_last_lr()
-        schedule.step()
-        averaged.update_parameters(detector)
-
-        loop.report(
-            {"kind": "step", "step": step, "loss": float(loss.detach()), "learning_rate": rate}
-        )
-        if step % settings.validate_every == 0 or step == settings.steps:
-            scores = validate(follower, validation)
-            best.keep(follower, scores, step)
-            loop.report({"kind": "validation", "step": step, **scores})
 
 
 class _Best:
@@ -180,7 +160,8 @@ class _Best:
 
         if not self.scores or rank(scores) >= rank(self.scores):
             self.scores = {**scores, "step": step}
-            self.weights = plain_state(detector)
+            state = detector.state_dict()
+            self.weights = {name: tensor.cpu().clone() for name, tensor in state.items()}
 
     def state_dict(self) -> dict[str, Any]:
         return {"scores": self.scores, "weights": self.weights}

@@ -25,8 +25,15 @@ from torch import Tensor
 from torch.nn import functional
 
 from skyproof.detectors.blueprint import HEADS, check_layers
-from skyproof.detectors.common import check_images, check_targets, pad_to_stride
-from skyproof.detectors.detector import Boxes, Candidates, Images, TrainableDetector
+from skyproof.detectors.detector import (
+    Boxes,
+    Candidates,
+    Images,
+    TrainableDetector,
+    check_images,
+    check_targets,
+    pad_to_stride,
+)
 from skyproof.detectors.settings import check_size
 from skyproof.errors import ConfigurationError
 
@@ -36,18 +43,17 @@ WIDTH_FACTORS = {"slim": 0.25, "full": 0.5}
 POINTS_PER_VEHICLE = 10.0
 # Ultralytics' weight of the class loss.
 CLASS_GAIN = 0.5
-# Limit for a network with a stranger's architecture: 4 GB of weights, and as many numbers in
-# all its answers to one image of 256 px.
+# Limit for a stranger's network: 4 GB of weights, and of its answers to one image of 256 px.
 MOST_NUMBERS = 10**9
 # The widest window of a layer. MOST_NUMBERS bounds memory, but a wide window computes forever.
 _WINDOWS = {"kernel_size": (1, 31), "stride": (1, 8), "padding": (0, 31), "dilation": (1, 8)}
 
 
 class YoloDetector(TrainableDetector):
-    """A network of Ultralytics, whose detections are those of its vehicle classes.
+    """A network of Ultralytics. A box gets the best score among the vehicle classes.
 
     An oriented box counts as its upright hull. YOLOv10 and YOLO26 have two heads; the one that the
-    installed Ultralytics reads counts. A box gets the best score among the vehicle classes.
+    installed Ultralytics reads counts.
     """
 
     model: Any
@@ -113,18 +119,19 @@ class YoloV5Detector(YoloDetector):
             self.model = DetectionModel(architecture, nc=1, verbose=False)
         _activate_pooling(self.model, architecture)
         self.model.args = DEFAULT_CFG
-        self._criterion: Any = None
 
     def loss(self, images: Images, targets: Sequence[Boxes]) -> Float[Tensor, " B"]:
         """Ultralytics' own v8DetectionLoss, image by image on one forward pass.
 
-        It sums box, class and distribution terms. Its sums are already divided by the target
-        scores, but by 1 with an empty truth; then they are divided by the ten points a vehicle
-        gets. Each call sees one image, so its factor "batch size" is 1.
+        Its sums are already divided by the target scores, but by 1 with an empty truth; then they
+        are divided by the ten points a vehicle gets. A call sees one image, so its factor "batch
+        size" is 1.
         """
+        from ultralytics.utils.loss import v8DetectionLoss
+
         check_targets(images, targets)
         outputs = self._outputs(images)
-        criterion = self._criterion_on(images.device)
+        criterion = v8DetectionLoss(self.model)
         height, width = (side * 8 for side in outputs["feats"][0].shape[-2:])
         losses = []
         for index, boxes in enumerate(targets):
@@ -134,20 +141,12 @@ class YoloV5Detector(YoloDetector):
                 "feats": [level[index : index + 1] for level in outputs["feats"]],
             }
             sides = boxes[:, 2:] - boxes[:, :2]
-            centred = torch.cat([boxes[:, :2] + sides / 2, sides], dim=1) / boxes.new_tensor(
-                [width, height, width, height]
-            )
+            centred = torch.cat([boxes[:, :2] + sides / 2, sides], dim=1)
+            centred = centred / boxes.new_tensor([width, height] * 2)
             zeros = boxes.new_zeros(len(boxes))
             terms, _ = criterion(own, {"batch_idx": zeros, "cls": zeros, "bboxes": centred})
             losses.append(terms.sum() / (1.0 if len(boxes) else POINTS_PER_VEHICLE))
         return torch.stack(losses)
-
-    def _criterion_on(self, device: torch.device) -> Any:
-        if self._criterion is None or self._criterion.device != device:
-            from ultralytics.utils.loss import v8DetectionLoss
-
-            self._criterion = v8DetectionLoss(self.model)
-        return self._criterion
 
 
 class YoloNetwork(YoloDetector):
@@ -164,8 +163,7 @@ class YoloNetwork(YoloDetector):
     def loss(self, images: Images, targets: Sequence[Boxes]) -> Float[Tensor, " B"]:
         """Ultralytics' class loss of the vehicle classes against an empty truth.
 
-        It is divided by the points that one vehicle gets. Boxes have no loss without a vehicle. The
-        sigmoid scores of the classes are independent.
+        It is divided by the points that one vehicle gets. Boxes have no loss without a vehicle.
         """
         check_targets(images, targets)
         logits = self._outputs(images)["scores"][:, self.vehicle_classes]
@@ -281,9 +279,8 @@ def _quiet_import() -> Iterator[None]:
     """Imports Ultralytics without side effects: no network, statistics, log line or settings file.
 
     Its import sets OMP_NUM_THREADS, writes `settings.json` into the user's configuration folder,
-    and replaces `torch.save`; it also replaces Pillow's `Image.open` by one that installs packages
-    when it meets a damaged file. All are undone. If the program imported Ultralytics before us, its
-    settings stay.
+    and replaces `torch.save`, and Pillow's `Image.open` by one that installs packages when it meets
+    a damaged file. All are undone. If the program imported Ultralytics before, its settings stay.
     """
     logger = logging.getLogger("ultralytics")
     level = logger.level

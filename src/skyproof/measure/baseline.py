@@ -7,13 +7,13 @@ import numpy as np
 from jaxtyping import Int64
 
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.average_precision import (
+from skyproof.detectors.detector import Detector
+from skyproof.detectors.matching import MatchTable
+from skyproof.detectors.validation import (
     average_precision,
     best_f1_threshold,
     precision_recall,
 )
-from skyproof.detectors.detector import Detector
-from skyproof.detectors.matching import MatchTable
 from skyproof.errors import ConfigurationError
 from skyproof.measure.views import SceneView, look
 from skyproof.results.baseline import Baseline, BestF1

@@ -5,8 +5,8 @@ from pathlib import Path
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.average_precision import average_precision
 from skyproof.detectors.detector import Detector
+from skyproof.detectors.validation import average_precision
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import finished_folder, write_beside
 from skyproof.measure.baseline import BaselineSet, measure_baselines

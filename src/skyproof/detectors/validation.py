@@ -1,4 +1,4 @@
-"""Precision and recall over a set of images, average precision, and thresholds by F1."""
+"""Validation of a detector: precision and recall, average precision, and the frozen threshold."""
 
 from typing import NamedTuple
 
@@ -6,14 +6,17 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 
-from skyproof.detectors.detector import LOWEST_SCORE
-from skyproof.detectors.matching import MatchTable
+from skyproof.datasets.dataset import Dataset
+from skyproof.detectors.card import DetectorCard, installed_version
+from skyproof.detectors.detector import LOWEST_SCORE, Detector
+from skyproof.detectors.inference import WINDOW_PX, detect_all
+from skyproof.detectors.matching import MatchTable, match_images
+from skyproof.errors import ConfigurationError
 
-FLAT_F1 = 0.01
-"""Validation images cannot tell thresholds apart if their F1 differs by no more than this."""
-
+# Validation images cannot tell thresholds apart if their F1 differs by no more than this.
+_FLAT_F1 = 0.01
+# Made by torch, not NumPy: at a recall of exactly 0.6 the last bit decides.
 _LEVELS = torch.linspace(0, 1, 101, dtype=torch.float64).numpy()
-"""Made by torch, not NumPy: at a recall of exactly 0.6 the last bit decides."""
 
 
 class PrecisionRecall(NamedTuple):
@@ -50,8 +53,7 @@ def average_precision(
 
     It is the mean over recalls 0, 0.01 … 1 of the best precision at that recall or beyond, 0 for a
     recall that is not reached. With "iou_50" and without ignore regions it equals COCO's AP at IoU
-    0.5 (one class, all areas, 100 detections); COCO has no centre criterion. `image_weights` is as
-    in `precision_recall`.
+    0.5 (one class, all areas, 100 detections); COCO has no centre criterion.
     """
     curve = precision_recall(matches, image_weights)
     if not curve.vehicles:
@@ -72,7 +74,7 @@ def best_f1_threshold(curve: PrecisionRecall) -> tuple[float, float]:
 
 
 def frozen_threshold(curve: PrecisionRecall) -> tuple[float, float]:
-    """The threshold to freeze: the lowest whose F1 is within one point of the largest.
+    """The threshold to freeze, the lowest whose F1 is within one point of the largest, and its F1.
 
     If a detector finds nearly all of its validation vehicles, its F1 is flat over a wide range of
     scores, and chance decides the peak: one vehicle more or less of 479 moved it from 0.79 to 0.95.
@@ -80,11 +82,8 @@ def frozen_threshold(curve: PrecisionRecall) -> tuple[float, float]:
     One point is about twice the standard error of F1 on as many vehicles.
 
     Difference from the paper: the paper does not tell how it chose its thresholds.
-
-    Returns:
-        (threshold, its F1); (1.0, 0.0) if no vehicle was found.
     """
-    return _lowest_within(curve, FLAT_F1)
+    return _lowest_within(curve, _FLAT_F1)
 
 
 def _lowest_within(curve: PrecisionRecall, tolerance: float) -> tuple[float, float]:
@@ -99,3 +98,55 @@ def _lowest_within(curve: PrecisionRecall, tolerance: float) -> tuple[float, flo
     good = np.flatnonzero(f1 >= f1.max() - tolerance)
     chosen = int(good[-1] if tolerance else good[0])
     return float((scores[chosen] + next_lower[chosen]) / 2), float(f1[chosen])
+
+
+def validate(detector: Detector, validation: Dataset) -> dict[str, float]:
+    """Measures "ap_centre_1m", "ap_iou_50", the "threshold" to freeze, and its "f1" by centres."""
+    detections = detect_all(detector, validation)
+    centre = match_images(detections, validation, criterion="centre_1m")
+    overlap = match_images(detections, validation, criterion="iou_50")
+    threshold, f1 = frozen_threshold(precision_recall(centre))
+    return {
+        "ap_centre_1m": average_precision(centre),
+        "ap_iou_50": average_precision(overlap),
+        "f1": f1,
+        "threshold": threshold,
+    }
+
+
+def check_validation(validation: Dataset) -> None:
+    """Refuses images that cannot give a threshold."""
+    if not any(len(boxes) for boxes in validation.boxes):
+        raise ConfigurationError(
+            "Validation expects at least one vehicle, to choose a threshold by; give images "
+            "with some."
+        )
+
+
+def frozen_card(detector: Detector, labelled: Dataset, remedy: str) -> DetectorCard:
+    """Freezes a detector's threshold on labelled images, and returns its card.
+
+    `remedy` is the advice to a detector that finds nothing.
+
+    Raises:
+        ConfigurationError: no vehicle is labelled, or the detector finds none.
+    """
+    check_validation(labelled)
+    scores = validate(detector, labelled)
+    threshold = scores.pop("threshold")
+    vehicles = sum(map(len, labelled.boxes))
+    if not scores["f1"]:
+        raise ConfigurationError(
+            f"{detector.name} finds none of the {vehicles} labelled vehicles, so no threshold can "
+            f"be frozen on them; {remedy}."
+        )
+    width_px, height_px = labelled.pictures[0].size_px
+    return DetectorCard(
+        name=detector.name,
+        threshold=threshold,
+        gsd_m=labelled.gsd_m,
+        image_size_px=(min(height_px, WINDOW_PX), min(width_px, WINDOW_PX)),
+        validation=scores,
+        validation_vehicles=vehicles,
+        skyproof_version=installed_version(),
+    )
