@@ -52,7 +52,6 @@ def tile(
     gsd_m=0.125,
     size_px=64,
     minimum_px=None,
-    block_m=None,
     source_gsd_m=None,
     crs=None,
     licence=None,
@@ -63,7 +62,7 @@ def tile(
     record = tile_imagery(
         paths,
         folder,
-        settings=TilingSettings(gsd_m, size_px, minimum_px, block_m),
+        settings=TilingSettings(gsd_m, size_px, minimum_px),
         generator=torch.Generator().manual_seed(seed),
         source_settings=SourceSettings(source_gsd_m, crs, licence, taken),
         labels=labels,

@@ -23,7 +23,7 @@ def export(tmp_path):
     scene = smooth_noise(960, 1280) // 2
     for x, y in CARS:
         column, row = round(x * 8), round(-y * 8)
-        scene[:, row - 8 : row + 8, column - 8 : column + 8] = 255
+        scene[:, row - 16 : row + 16, column - 16 : column + 16] = 255
     folder = tmp_path / "lds-selwyn-0125m-urban"
     folder.mkdir()
     for number in range(4):
@@ -51,7 +51,7 @@ def test_an_export_becomes_a_dataset(tmp_path, export, capsys, system, shape):
     for number, (x, y) in enumerate(CARS):
         ring = [
             (EAST + x + dx, NORTH + y + dy)
-            for dx, dy in ((-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1))
+            for dx, dy in ((-2, -2), (2, -2), (2, 2), (-2, 2), (-2, -2))
         ]
         if shape == "points":
             ring = [(EAST + x, NORTH + y)]
@@ -79,7 +79,7 @@ def test_an_export_becomes_a_dataset(tmp_path, export, capsys, system, shape):
     words = [
         "ground", export, "--tiling.size-px", 128, "--out", out,
         "--labels.path", tmp_path / "cars.geojson", "--labels.classes", "Small Vehicle",
-        "--labels.point-box-m", 2.0, "--source.licence", "CC BY 4.0, LINZ Data Service",
+        "--source.licence", "CC BY 4.0, LINZ Data Service",
     ]  # fmt: skip
     assert run([str(word) for word in words]) == 0, capsys.readouterr().err
     backgrounds = BackgroundSet.open(out)

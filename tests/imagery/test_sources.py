@@ -336,7 +336,6 @@ def test_missing_and_namesake_images_and_bad_settings(tmp_path):
         {"source_gsd_m": 0.0},
         {"gsd_m": float("nan")},
         {"size_px": 0},
-        {"block_m": -1.0},
     ):
         with pytest.raises(ConfigurationError, match="expects a"):
             tile([tmp_path / "x.tif"], tmp_path / "set", **wrong)

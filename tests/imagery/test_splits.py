@@ -30,9 +30,9 @@ def cells(rows, columns, grid="f"):
 USUAL = TilingSettings().split_shares
 
 
-def divide(grid, block_m=None, seed=0, shares=USUAL):
+def divide(grid, seed=0, shares=USUAL):
     generator = torch.Generator().manual_seed(seed)
-    return assign_splits(grid, shares, block_m=block_m, generator=generator)
+    return assign_splits(grid, shares, generator=generator)
 
 
 def test_blocks_are_whole_and_shares_come_out():
@@ -58,12 +58,10 @@ def test_neighbours_are_mostly_together():
 
 
 def test_blocks_shrink_until_every_split_has_one():
-    for count, block_m in ((4, None), (4, 5000.0), (7, 200.0)):
-        splits, widths_m = divide(cells(1, count), block_m)
-        assert {*splits.values()} == {*SPLITS}, (count, block_m)
+    for count in (4, 7):
+        splits, widths_m = divide(cells(1, count))
+        assert {*splits.values()} == {*SPLITS}, count
         assert widths_m["f"] >= 48
-    # What is given is kept where it can be.
-    assert divide(cells(20, 20), 480.0)[1] == {"f": 480.0}
     assert len({*divide(cells(1, 2))[0].values()}) == 2
 
 

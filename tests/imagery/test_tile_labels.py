@@ -10,7 +10,7 @@ from rasterio.transform import Affine, from_origin
 from rasterio.warp import transform as transform_places
 
 from skyproof.datasets.dataset import Dataset
-from skyproof.errors import ConfigurationError, ImageryError
+from skyproof.errors import ImageryError
 from skyproof.imagery.labels.label import GroundLabels, ImageLabels, Label
 from skyproof.imagery.settings import LabelSettings
 from tests.imagery.made import all_tiles, noise, tile, write_image
@@ -91,22 +91,6 @@ def test_other_classes_and_what_the_file_ignores_become_ignore_regions(tmp_path)
     ]
 
 
-def test_the_border_band_is_the_sources_not_the_tiles(tmp_path):
-    one_image(tmp_path, pixels(box(2, 2, 8, 8), box(60, 60, 66, 66)), border_px=16.0)
-    # The second lies where four tiles meet, in the middle of the image.
-    # Its centre (63, 63) is in the first tile.
-    assert boxes(tmp_path / "set", 0) == {"a-00000-00000": [(60, 60, 64, 64)]}
-    ignored = boxes(tmp_path / "set", 1)
-    assert (0, 0, 64, 16) in ignored["a-00000-00000"]
-    assert (0, 0, 16, 64) in ignored["a-00000-00000"]
-    assert (2, 2, 8, 8) in ignored["a-00000-00000"]
-    assert (0, 48, 64, 64) in ignored["a-00064-00064"]
-    rows = json.loads((tmp_path / "set/train/annotations.json").read_text())["annotations"]
-    unlabelled = [row["bbox"] for row in rows if row.get("unlabelled")]
-    assert unlabelled, "the band is no vehicle"
-    assert all(max(box[2:]) == 64 for box in unlabelled)
-
-
 def test_pixel_labels_follow_a_turned_image(tmp_path):
     # A bright square in the picture must lie in its box, whatever the image's turn and scale.
     array = np.full((3, 600, 600), 40, np.uint8)
@@ -123,61 +107,21 @@ def test_pixel_labels_follow_a_turned_image(tmp_path):
     assert found == pytest.approx(expected, abs=1.5)
 
 
-TURNED = Affine.translation(EAST, NORTH) * Affine.rotation(30) * Affine.scale(0.125, -0.125)
-
-
-@pytest.mark.parametrize(
-    ("crs", "affine", "border_px"),
-    [
-        (NZTM, TURNED, 32.0),
-        # At the edge of a zone of UTM north is 2 degrees off the grid's.
-        ("EPSG:4326", from_origin(174.01, -43.0, 1.5e-6, 1.12e-6), 8.0),
-    ],
-)
-def test_the_border_band_stays_a_band_where_it_lies_aslant(tmp_path, crs, affine, border_px):
-    size_px = 640
-    write_image(tmp_path / "a.tif", noise(size_px, size_px), crs=crs, transform=affine)
-    labels = pixels(), LabelSettings(WHERE, ("car",), border_px=border_px)
-    backgrounds, _ = tile([tmp_path / "a.tif"], tmp_path / "set", labels=labels)
-    index = json.loads((tmp_path / "set" / "index.geojson").read_text())["features"]
-    places = {one["properties"]["id"]: one["properties"] for one in index}
-    ignored = boxes(tmp_path / "set", 1)
-    wrong = 0
-    for one in all_tiles(backgrounds):
-        covered = np.zeros((64, 64), bool)
-        for left, top, right, bottom in ignored.get(one.id, []):
-            covered[round(top) : round(bottom), round(left) : round(right)] = True
-        # Where each pixel of the tile lies in the image.
-        rows, columns = np.indices((64, 64)) + 0.5
-        left, _, _, top = places[one.id]["bounds"]
-        xs, ys = left + columns * 0.125, top - rows * 0.125
-        if places[one.id]["crs"] != crs:
-            moved = transform_places(places[one.id]["crs"], crs, xs.ravel(), ys.ravel())
-            xs, ys = (np.reshape(values, (64, 64)) for values in moved)
-        u, v = ~affine * (xs, ys)
-        depth = np.minimum.reduce([u, v, size_px - u, size_px - v])
-        assert covered[(depth > 1) & (depth < border_px - 1)].all()
-        # A piece and the upright box around it differ by less than its own size.
-        assert not covered[depth > 2.5 * border_px].any()
-        wrong += int((covered & (depth > border_px)).sum())
-    assert wrong < 0.1 * size_px**2
-
-
 @pytest.mark.parametrize("crs", [NZTM, "EPSG:4326"])
 def test_ground_points_of_two_systems(tmp_path, crs):
     write_image(tmp_path / "a.tif", noise(256, 256), **PLACE)
     xs, ys = [EAST + 10.0, EAST + 21.0, EAST + 500], [NORTH - 5.0, NORTH - 21.0, NORTH]
     if crs != NZTM:
         xs, ys = transform_places(NZTM, crs, xs, ys)
-    labels = ground(*zip(xs, ys, strict=True), crs=crs), LabelSettings(WHERE, point_box_m=2.0)
+    labels = ground(*zip(xs, ys, strict=True), crs=crs), LabelSettings(WHERE)
     _, record = tile([tmp_path / "a.tif"], tmp_path / "set", labels=labels)
     # Tiles begin at the image's corner: 10 m is pixel 80, in the second tile pixel 16; the box is
-    # 16 px wide.
+    # 32 px wide.
     found = boxes(tmp_path / "set", 0)
     assert len(found) == 2
     expected = {
-        f"epsg2193-e{int(EAST) + 8}-n{int(NORTH)}": (8, 32, 24, 48),
-        f"epsg2193-e{int(EAST) + 16}-n{int(NORTH) - 16}": (32, 32, 48, 48),
+        f"epsg2193-e{int(EAST) + 8}-n{int(NORTH)}": (0, 24, 32, 56),
+        f"epsg2193-e{int(EAST) + 16}-n{int(NORTH) - 16}": (24, 24, 56, 56),
     }
     for tile_id, values in expected.items():
         assert found[tile_id][0] == pytest.approx(values, abs=0.02)
@@ -259,8 +203,6 @@ def test_ground_labels_of_the_wrong_system(tmp_path):
         ImageryError, match=r"None of the 2 labels .* check their reference system \(EPSG:32633"
     ):
         tile([tmp_path / "a.tif"], tmp_path / "set", labels=(labels, LabelSettings(WHERE)))
-    with pytest.raises(ConfigurationError, match="border_px expects a number from 0"):
-        LabelSettings(WHERE, border_px=-1.0)
 
 
 def turned(x, y, length, width, angle_deg, first=0, mirrored=False):

@@ -30,8 +30,6 @@ class TilingSettings:
         minimum_px: side to which tiles may shrink until there is one for each split; imagery that
             still yields fewer is refused. With None tiles do not shrink, and a split may stay
             empty.
-        block_m: width in metres of the blocks of tiles that go to one split; None is about 400, and
-            less for little imagery.
         shares: shares of the tiles that go to train, validation, attack and test; a split with a
             share of 0 gets none.
     """
@@ -39,7 +37,6 @@ class TilingSettings:
     gsd_m: GroundResolution = 0.125
     size_px: _TileSide = 384
     minimum_px: Suppress[_TileSide | None] = None
-    block_m: Suppress[Annotated[float, Meta(ge=0.1, le=1e6)] | None] = None
     shares: Suppress[tuple[Fraction, Fraction, Fraction, Fraction]] = (0.5, 0.15, 0.15, 0.2)
 
     def __post_init__(self) -> None:
@@ -101,19 +98,10 @@ class LabelSettings:
         path: labels as COCO, YOLO text, DOTA text, GeoJSON, GeoPackage or Shapefile.
         classes: vehicle classes, if the labels have several classes. Other objects become ignore
             regions.
-        border_px: width in pixels of an ignored band along the border of each source, because
-            vehicles that the border cuts are often unlabelled.
-        point_box_m: side of the box of a point label; 4 m is a car's upright box at a random
-            heading.
     """
 
     path: Path | None = None
     classes: tuple[str, ...] = ()
-    border_px: Suppress[Annotated[float, Meta(ge=0, le=100_000)]] = 0.0
-    point_box_m: Suppress[Annotated[float, Meta(ge=0.01, le=100)]] = 4.0
-
-    def __post_init__(self) -> None:
-        check_ranges(self)
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,7 +16,6 @@ from skyproof.errors import ImageryError
 Point = tuple[float, float]
 Box = tuple[float, float, float, float]
 
-_MOST_PIECES = 2_000
 _SLACK = 0.005
 """Text with few digits rounds the sides of a box by this share."""
 
@@ -149,33 +147,6 @@ def require_inside(label: Label, size_px: tuple[int, int], where: str) -> None:
         )
 
 
-def border_strips(size_px: tuple[int, int], border_px: float) -> list[Box]:
-    """Returns the band along an image's border as boxes, pixel xyxy: top, bottom, left, right."""
-    width, height = map(float, size_px)
-    x = min(border_px, width)
-    y = min(border_px, height)
-    return [
-        (0.0, 0.0, width, y),
-        (0.0, height - y, width, height),
-        (0.0, 0.0, x, height),
-        (width - x, 0.0, width, height),
-    ]
-
-
-def pieces_of(box: Box, side_px: float) -> list[Box]:
-    """Cuts a box along its longer side into pieces of about a given length."""
-    left, top, right, bottom = box
-    across = right - left >= bottom - top
-    count = round(max(right - left, bottom - top) / side_px)
-    count = min(max(count, 1), _MOST_PIECES)
-    first, last = (left, right) if across else (top, bottom)
-    ends = [first + (last - first) * number / count for number in range(count + 1)]
-    return [
-        (low, top, high, bottom) if across else (left, low, right, high)
-        for low, high in itertools.pairwise(ends)
-    ]
-
-
 def sort_labels(
     labels: Sequence[Label],
     *,
@@ -207,5 +178,11 @@ def sort_labels(
         wanted = inner and not label.ignore and label.class_name in classes
         (truths if wanted else ignored).append(cut)
     if border_px:
-        ignored += border_strips(size_px, border_px)
+        x, y = min(border_px, float(width)), min(border_px, float(height))
+        ignored += [
+            (0.0, 0.0, width, y),
+            (0.0, height - y, width, height),
+            (0.0, 0.0, x, height),
+            (width - x, 0.0, width, height),
+        ]
     return torch.tensor(truths).float().reshape(-1, 4), torch.tensor(ignored).float().reshape(-1, 4)

@@ -25,7 +25,7 @@ MOST_CELLS = 500_000
 GLOBAL_FROM_TILES = 8
 SHRINK = 0.8
 WANTED_BLOCKS = 24
-DEFAULT_BLOCK_M = 400.0
+WIDEST_BLOCK_M = 400.0
 
 BlockKey = tuple[str, int, int]
 
@@ -272,29 +272,22 @@ def cells_of(grid: Grid) -> list[Cell]:
 
 
 def assign_splits(
-    cells: Sequence[Cell],
-    shares: Mapping[Split, float],
-    *,
-    block_m: float | None,
-    generator: torch.Generator,
+    cells: Sequence[Cell], shares: Mapping[Split, float], *, generator: torch.Generator
 ) -> tuple[dict[str, Split], dict[str, float]]:
     """Divides cells among the splits by their shares, in square blocks of neighbours.
 
-    Blocks of k x k cells are about `block_m` wide. A block goes to one split, so splits meet only
-    at the edges of blocks. Blocks are shuffled, sorted by size, the largest first, and handed out
-    one by one: first one to each split that has none, then to the split that is furthest behind its
-    share of the cells. k is halved until there are 24 blocks (from 400 m) without `block_m`, so
-    that the shares come out about right, or one per split with it.
+    A block of about 400 m goes to one split, so splits meet only at the edges of blocks. Its width
+    is halved until there are 24 blocks, so that the shares come out about right. Blocks are
+    shuffled, sorted by size, the largest first, and handed out one by one: first one to each split
+    that has none, then to the split that is furthest behind its share of the cells.
 
-    Returns:
-        The split of each cell, by id, and the width in metres of the blocks of each grid.
+    It returns the split of each cell, by id, and the width in metres of the blocks of each grid.
     """
-    wanted = WANTED_BLOCKS if block_m is None else len(shares)
-    width_m = DEFAULT_BLOCK_M if block_m is None else block_m
+    width_m = WIDEST_BLOCK_M
     while True:
-        sides = {cell.block[0]: _side(cell, width_m) for cell in cells}
+        sides = {cell.block[0]: max(1, round(width_m / cell.side_m)) for cell in cells}
         blocks = {cell.id: _block(cell, sides) for cell in cells}
-        if len({*blocks.values()}) >= wanted or all(side == 1 for side in sides.values()):
+        if len({*blocks.values()}) >= WANTED_BLOCKS or all(side == 1 for side in sides.values()):
             break
         width_m /= 2
     sizes = Counter(blocks.values())
@@ -308,12 +301,8 @@ def assign_splits(
         given[split] += sizes[key]
     # Cells of one grid have one size.
     cell_of = {cell.block[0]: cell for cell in cells}
-    widths_m = {grid: sides[grid] * one.size_px * one.gsd_m for grid, one in cell_of.items()}
+    widths_m = {grid: sides[grid] * one.side_m for grid, one in cell_of.items()}
     return {cell.id: split_of[blocks[cell.id]] for cell in cells}, widths_m
-
-
-def _side(cell: Cell, width_m: float) -> int:
-    return max(1, round(width_m / cell.side_m))
 
 
 def _block(cell: Cell, sides: Mapping[str, int]) -> BlockKey:

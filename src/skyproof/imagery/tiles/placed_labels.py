@@ -2,7 +2,7 @@
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,14 +13,10 @@ from rasterio.crs import CRS
 from skyproof.datasets.coco import Annotation
 from skyproof.errors import ImageryError
 from skyproof.imagery.labels.label import (
-    Box,
     GroundLabels,
     ImageLabels,
     Label,
     Labels,
-    Point,
-    border_strips,
-    pieces_of,
     require_classes,
     sort_labels,
 )
@@ -32,7 +28,9 @@ from skyproof.imagery.tiles.sources import Source
 BIN_M = 64.0
 FARTHEST_PX = 1e6
 _NAMED = 3
-EVERYTHING, BORDER = "image without labels", "border of an image"
+EVERYTHING = "image without labels"
+POINT_BOX_M = 4.0
+"""A car's upright box at a random heading: the side of the box of a point label."""
 
 
 @dataclass
@@ -87,10 +85,6 @@ class PlacedLabels:
             self.notes.append(
                 f"{outside} labels of {settings.path} lie outside the imagery and are left out"
             )
-        if settings.border_px:
-            for name, plane in self._planes.items():
-                for number in sorted(plane.sources):
-                    self._add_border(name, number)
 
     def _place_ground(self, labels: GroundLabels) -> int:
         """Places labels on the ground; returns how many lie outside the imagery."""
@@ -183,24 +177,11 @@ class PlacedLabels:
         source = self._sources[number]
         self.notes.append(f"{source.path.name} has no labels: nothing is scored on its tiles")
         whole = (0.0, 0.0, float(source.width_px), float(source.height_px))
-        self._add_regions(plane, number, EVERYTHING, [whole])
-
-    def _add_border(self, plane: str, number: int) -> None:
-        """Ignores the border band of a source, in pieces if upright boxes do not fit it."""
-        source, border_px = self._sources[number], self._settings.border_px
-        strips = border_strips((source.width_px, source.height_px), border_px)
-        transform = source.georeference.transform
-        if source.georeference.crs != self._planes[plane].crs or transform.b or transform.d:
-            strips = [piece for strip in strips for piece in pieces_of(strip, border_px)]
-        self._add_regions(plane, number, BORDER, strips)
-
-    def _add_regions(self, plane: str, number: int, name: str, boxes: Iterable[Box]) -> None:
-        for box in boxes:
-            label = self._to_plane(plane, Label.upright(name, box, ignore=True), number)
-            self._add(plane, _Placed(label, number))
+        label = self._to_plane(plane, Label.upright(EVERYTHING, whole, ignore=True), number)
+        self._add(plane, _Placed(label, number))
 
     def _add(self, plane: str, item: _Placed) -> None:
-        reach = self._settings.point_box_m / 2
+        reach = POINT_BOX_M / 2
         left, bottom, right, top = self._planes[plane].extent
         first_x, first_y, last_x, last_y = item.label.bounds
         if not all(math.isfinite(value) for corner in item.label.corners for value in corner):
@@ -231,7 +212,7 @@ class PlacedLabels:
         label = item.label.moved([inverse * corner for corner in item.label.corners])
         size = cell.size_px
         x, y = label.middle
-        unlabelled = label.class_name in (EVERYTHING, BORDER)
+        unlabelled = label.class_name == EVERYTHING
         ignore = label.ignore
         if unlabelled and not (owner == item.source).any():
             return None
@@ -239,9 +220,8 @@ class PlacedLabels:
             shown = int(owner[min(max(int(y), 0), size - 1), min(max(int(x), 0), size - 1)])
             if item.source is not None and shown not in (item.source, -1):
                 return None
-            outside = not (0 <= x < size and 0 <= y < size) or shown < 0
-            ignore |= outside or self._in_border(cell.transform * (x, y), cell.crs, shown)
-        point_box_px = self._settings.point_box_m / cell.gsd_m
+            ignore |= not (0 <= x < size and 0 <= y < size) or shown < 0
+        point_box_px = POINT_BOX_M / cell.gsd_m
         truths, ignored = sort_labels(
             [Label(label.class_name, label.corners, ignore)],
             classes=self._classes,
@@ -269,16 +249,6 @@ class PlacedLabels:
             min((right - left) * (bottom - top) / max(area_px, 1e-9), 1.0),
             corners_px=label.corners_lengthwise() if item.oriented and near else None,
         )
-
-    def _in_border(self, place: Point, crs: CRS | None, number: int) -> bool:
-        border_px, source = self._settings.border_px, self._sources[number]
-        if not border_px:
-            return False
-        georeference = source.georeference
-        (moved,) = to_reference_system(crs, georeference.crs, [place])
-        x, y = ~georeference.transform * moved
-        inner = border_px <= x <= source.width_px - border_px
-        return not (inner and border_px <= y <= source.height_px - border_px)
 
 
 def _bins(low_m: float, high_m: float) -> range:

@@ -125,7 +125,7 @@ def tile_imagery(
     # Too little imagery is refused before anything else is written.
     _refuse_too_few(len(cut.tiles), settings)
     splits, blocks_m = assign_splits(
-        [*cut.kept.values()], settings.split_shares, block_m=settings.block_m, generator=generator
+        [*cut.kept.values()], settings.split_shares, generator=generator
     )
     tiles = _sort_into_splits(cut, splits)
     if placed is not None:
