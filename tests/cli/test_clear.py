@@ -90,14 +90,6 @@ def test_what_cannot_work_is_one_sentence(tmp_path, skyproof: Skyproof):
 
     refused(tmp_path / "plain", "--out", out, text="index.json is missing")
     refused(folder, "--out", out, "--detector", tmp_path / "plain", text="detector.json is missing")
-    refused(
-        folder,
-        "--out",
-        out,
-        "--settings.largest-masked-share",
-        "2",
-        text="largest-masked-share expects",
-    )
     refused(folder, "--out", out, text="no detector was given")
     refused(folder, text="--out with a folder to write, or --reject")
     refused(folder, "--out", out, "--reject", "a", text="got both")

@@ -20,7 +20,6 @@ from skyproof.files import finished_folder
 from skyproof.imagery.clearing.clear import clear_backgrounds, reject_tiles
 from skyproof.imagery.clearing.sheet import ContactSheet, SheetRow
 from skyproof.imagery.clearing.vehicle_masks import VehicleFinder, grown_to_what_is_seen
-from skyproof.imagery.settings import ClearSettings
 from skyproof.scenes.background_index import BackgroundTile, write_index
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.splits import SPLITS
@@ -216,11 +215,9 @@ def test_corners_that_are_no_vehicles_say_nothing(tmp_path, corners):
 def test_places_of_detections_are_kept_where_they_are_sure(tmp_path):
     folder = tiled(tmp_path / "tiled", labelled="a")
     unsure = finder(Reds(score_of={box(40, 40): 0.4}))
-    settings = ClearSettings(finding_score=0.1)
-    result, record = cleared(folder, tmp_path, finder=unsure, settings=settings)
+    result, _ = cleared(folder, tmp_path, finder=unsure)
     assert [len(stood(result, name)) for name in "abcde"] == [2, 0, 0, 1, 1]
     assert stood(result, "d") == [(25, 97, 0, "picture")]
-    assert record["totals"]["detected_removed"] == 3, "removed it is all the same"
     # Clearing what is cleared keeps the places.
     again = clear_again(tmp_path)
     assert again.tile("d").removed == result.tile("d").removed
@@ -270,11 +267,10 @@ def test_labels_grow_to_what_the_detector_sees_of_the_same_vehicle():
     seen = torch.tensor(
         [[6.0, 14.0, 47.0, 38.0], [8.0, 12.0, 44.0, 40.0], [200.0, 0.0, 240.0, 9.0]]
     )
-    grown = grown_to_what_is_seen(label, Detections(seen, torch.tensor([0.9, 0.8, 0.7])))
+    grown = grown_to_what_is_seen(label, seen)
     # The second is likest: what is left of the label stays, bumpers on both sides are added.
     assert grown.tolist() == [[8.0, 10.0, 44.0, 42.0], [100.0, 10.0, 132.0, 42.0]]
-    nothing = Detections(torch.zeros(0, 4), torch.zeros(0))
-    assert torch.equal(grown_to_what_is_seen(label, nothing), label)
+    assert torch.equal(grown_to_what_is_seen(label, torch.zeros(0, 4)), label)
 
 
 def test_no_bumper_of_a_point_label_is_left(tmp_path):
@@ -342,9 +338,10 @@ def test_what_cannot_be_repaired_is_left_out(tmp_path):
     assert {place["properties"]["id"] for place in places} == {"a", "b", "c", "e"}
 
 
-def test_a_tile_with_too_much_to_remove_is_left_out(tmp_path):
+def test_a_tile_with_too_much_to_remove_is_left_out(tmp_path, monkeypatch):
     folder = tiled(tmp_path / "tiled", labelled="acde")
-    result, record = cleared(folder, tmp_path, settings=ClearSettings(largest_masked_share=0.08))
+    monkeypatch.setattr("skyproof.imagery.clearing.clear.LARGEST_MASKED_SHARE", 0.08)
+    result, record = cleared(folder, tmp_path)
     assert {row["id"]: row["left_out"] for row in record["tiles"]}["a"] == "too much to remove"
     assert [tile.id for tile in result.tiles("train")] == ["b"]
 
@@ -381,15 +378,6 @@ def test_damaged_labels_are_named(tmp_path):
         cleared(folder, tmp_path)
 
 
-@pytest.mark.parametrize(
-    "bad",
-    [{"finding_score": 0.0}, {"largest_masked_share": 1.0}, {"margin_m": -1.0}, {"rounds": -1}],
-)
-def test_settings_check_themselves(bad):
-    with pytest.raises(ConfigurationError, match=next(iter(bad))):
-        ClearSettings(**bad)
-
-
 def test_large_tiles_are_looked_at_in_windows():
     class Corner:
         """Finds a red spot wherever it is, and notes how large its pictures were."""
@@ -416,9 +404,7 @@ def test_large_tiles_are_looked_at_in_windows():
     detector = Corner()
     image = torch.zeros(3, 500, 1900, dtype=torch.uint8)
     image[0, 300:310, 1100:1120] = 255
-    found = finder(detector).detections(image, 0.5)
-    assert found.scores.tolist() == pytest.approx([0.9])
-    assert found.boxes.tolist() == [[1100, 300, 1120, 310]]
+    assert finder(detector).detections(image).tolist() == [[1100, 300, 1120, 310]]
     assert detector.sizes == ((384, 384),) * 14
 
 

@@ -25,7 +25,6 @@ from skyproof.detectors.reference_detectors import detector_folder
 from skyproof.files import finished_folder, new_file
 from skyproof.imagery.clearing.vehicle_masks import VehicleFinder
 from skyproof.imagery.settings import (
-    ClearSettings,
     LabelSettings,
     SourceSettings,
     TilingSettings,
@@ -186,7 +185,7 @@ def cleared(its: Subject) -> Step:
         if failed_precheck(folders[-1]):
             say(f"{its.names[-1]} {FAILED}.")
             checker = None
-        clear_tiles(its.layout.tiles, its.layout.backgrounds, finders[0], checker, ClearSettings())
+        clear_tiles(its.layout.tiles, its.layout.backgrounds, finders[0], checker)
 
     return Step("clear", "clear", (its.layout.backgrounds,), work, its.names, effort_s=_LONG_S)
 

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tyro.conf import Positional, Suppress
+from tyro.conf import Positional
 
 from skyproof.console import say, stage_bars
 from skyproof.errors import ConfigurationError
 from skyproof.files import alone, finished_folder, refuse_existing
-from skyproof.imagery.settings import ClearSettings
 
 if TYPE_CHECKING:
     from skyproof.imagery.clearing.vehicle_masks import VehicleFinder
@@ -36,7 +35,6 @@ class Clear:
         check_detector: detector folder that checks the result; the same detector by default, unless
             it failed its precheck.
         device: auto, cpu or cuda.
-        settings: how vehicles are removed.
     """
 
     folder: Positional[Path]
@@ -45,7 +43,6 @@ class Clear:
     detector: Path | None = None
     check_detector: Path | None = None
     device: str = "auto"
-    settings: Suppress[ClearSettings] = field(default_factory=ClearSettings)
 
     def __post_init__(self) -> None:
         if (self.out is None) == (not self.reject):
@@ -67,7 +64,7 @@ class Clear:
         elif self.detector is not None and failed_precheck(self.detector):
             say(f"{self.detector} {FAILED}; give another one as --check-detector.")
             checker = None
-        clear_tiles(self.folder, self.out, finder, checker, self.settings)
+        clear_tiles(self.folder, self.out, finder, checker)
 
     def _reject(self) -> None:
         from skyproof.imagery.clearing.clear import reject_tiles
@@ -93,20 +90,14 @@ def failed_precheck(folder: Path) -> bool:
 
 
 def clear_tiles(
-    folder: Path,
-    out: Path,
-    finder: VehicleFinder | None,
-    checker: VehicleFinder | None,
-    settings: ClearSettings,
+    folder: Path, out: Path, finder: VehicleFinder | None, checker: VehicleFinder | None
 ) -> None:
     """Clears a tiled folder, and prints what was removed."""
     from skyproof.imagery.clearing.clear import clear_backgrounds
     from skyproof.imagery.words import cleared_words
 
     with finished_folder(out) as partial, stage_bars("vehicles") as update:
-        record = clear_backgrounds(
-            folder, partial, settings, finder=finder, checker=checker, progress=update
-        )
+        record = clear_backgrounds(folder, partial, finder=finder, checker=checker, progress=update)
     for line in cleared_words(record, out, checked=checker is not None):
         say(line)
 

@@ -1,6 +1,7 @@
 """The light of photographs: measured exposure, and the sun of a date and time."""
 
 import math
+from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
@@ -13,13 +14,12 @@ from astral import Observer
 from astral.sun import azimuth, elevation
 from jaxtyping import Float, UInt8
 from numpy.typing import NDArray
-from rasterio.crs import CRS
 from torch import Tensor
 
 from skyproof.datasets.pictures import Pixels
 from skyproof.errors import ImageryError
 from skyproof.geometry.colour import srgb_to_linear
-from skyproof.imagery.tiles.georeference import to_reference_system
+from skyproof.imagery.tiles.georeference import DEGREES, to_reference_system
 from skyproof.imagery.tiles.grid import Cell
 from skyproof.scenes.background_index import BackgroundTile
 from skyproof.scenes.backgrounds import BackgroundSet
@@ -47,6 +47,22 @@ _LEAST_WHITE, _LARGEST_WHITE = 0.3, 4.0
 _VEHICLE_M = 3.5
 # Brightness of a surface in deep shadow as a share of white.
 _DEEPEST = 0.01
+# Vehicles cannot be counted in a photograph under a lower sun.
+_LOWEST_DEG = 5.0
+
+
+def picture_of(tile: BackgroundTile) -> str:
+    """Names the picture of a tile's sun: its source image, or its id if it is drawn."""
+    return tile.source if tile.kind is None else tile.id
+
+
+def by_picture(tiles: Iterable[BackgroundTile]) -> dict[str, list[BackgroundTile]]:
+    """Groups the tiles of imagery by their picture; drawn tiles are skipped."""
+    groups: dict[str, list[BackgroundTile]] = defaultdict(list)
+    for tile in tiles:
+        if tile.kind is None:
+            groups[picture_of(tile)].append(tile)
+    return groups
 
 
 def some_of(tiles: Sequence[Item]) -> Sequence[Item]:
@@ -59,8 +75,7 @@ def ground_pixels(
 ) -> UInt8[Tensor, "P 3"]:
     """Takes every third pixel along and across, except those near the middles (x, y) of vehicles.
 
-    White paint and the sun's glints on it are far brighter than any ground: on aerial photographs
-    of Munich they made white 1.5 times too bright.
+    White paint and glints are brighter than any ground (at Munich by half).
     """
     sampled = image[:, ::STRIDE_PX, ::STRIDE_PX]
     rows, columns = sampled.shape[1:]
@@ -76,14 +91,10 @@ def ground_pixels(
 def measure_exposure(grounds: Iterable[UInt8[Tensor, "P 3"]]) -> Light:
     """Measures white, black and white balance from `ground_pixels` of tiles of one source.
 
-    White comes from the brightest thousandth of the ground and from its median. Its colour is that
-    of grey ground, the median of all pixels whose channels differ by at most 12 %, and neutral if
-    hardly any ground is grey. Black is the darkest 0.2 % of each channel.
-
-    Ground of one kind, such as a field alone or snow, misleads it: it takes a bright sand for a
-    bright exposure. A tint of more than a tenth is found in part, because grey is no longer grey
-    under it. On drawn ground, the error of white is within a third on most single tiles, and within
-    a tenth over forty (tests).
+    White comes from the brightest thousandth of the ground and from its median. Its colour is the
+    median of pixels whose channels differ by at most 12 %, and neutral if hardly any ground is so
+    grey. Black is the darkest 0.2 % of each channel. Ground of one kind, such as a field alone or
+    snow, misleads it, and a tint of more than a tenth is found in part.
     """
     samples = [each.numpy() for each in grounds]
     pixels = np.concatenate(samples) if samples else np.zeros((0, 3))
@@ -92,7 +103,8 @@ def measure_exposure(grounds: Iterable[UInt8[Tensor, "P 3"]]) -> Light:
             "Measuring the light of imagery expects ground with something bright and something "
             f"dark on it but found {len(pixels)} pixels of nearly one colour; give more imagery."
         )
-    light = _linear(np.asarray(pixels, np.uint8))
+    table = srgb_to_linear(torch.arange(256, dtype=torch.float64) / 255).numpy()
+    light: Array = np.take(table, np.asarray(pixels, np.uint8))
     luminance = light.mean(1)
     brightest, median = np.quantile(luminance, (BRIGHT_SHARE, 0.5))
     logarithm = _WEIGHT_OF_BRIGHTEST * np.log(_WHITE_OF_BRIGHTEST * brightest)
@@ -108,17 +120,6 @@ def measure_exposure(grounds: Iterable[UInt8[Tensor, "P 3"]]) -> Light:
     return Light(white=rounded_levels(white * balance), black=rounded_levels(black))
 
 
-def _linear(pixels: NDArray[np.uint8]) -> Array:
-    table = srgb_to_linear(torch.arange(256, dtype=torch.float64) / 255).numpy()
-    return np.take(table, pixels)
-
-
-_DEGREES = CRS.from_epsg(4326)
-_NORTH_M = 100.0
-# Vehicles cannot be counted in a photograph under a lower sun.
-_LOWEST_DEG = 5.0
-
-
 def lit_tiles(
     folder: Path,
     tiles: Sequence[BackgroundTile],
@@ -127,17 +128,13 @@ def lit_tiles(
     vehicles_px: Mapping[str, Float[Tensor, "n 2"]],
     notes: list[str],
 ) -> list[BackgroundTile]:
-    """Measures how each source shows light, on up to 31 of its tiles, and gives it to its tiles.
+    """Measures how each source shows light, and gives it to its tiles; sources may show too little.
 
-    `suns` and the middles of known vehicles, `[n, 2]`, come by the tiles' ids. The result, and
-    sources that show too little, are noted.
+    `suns` and the middles of known vehicles come by the tiles' ids.
     """
     backgrounds = BackgroundSet(folder, gsd_m, tiles)
-    of_source: dict[str, list[BackgroundTile]] = {}
-    for tile in tiles:
-        of_source.setdefault(tile.source, []).append(tile)
     measured: dict[str, Light] = {}
-    for source, of_one in of_source.items():
+    for source, of_one in by_picture(tiles).items():
         try:
             measured[source] = exposure_of(backgrounds, of_one, vehicles_px)
         except ImageryError:
@@ -175,14 +172,14 @@ def sun_over(cell: Cell, taken: datetime) -> SunEstimate:
     """Computes the place of the sun over a cell, in the cell's axes, without refraction."""
     left, bottom, right, top = cell.extent
     middle = ((left + right) / 2, (bottom + top) / 2)
-    above = (middle[0], middle[1] + _NORTH_M)
+    above = (middle[0], middle[1] + 100.0)
     if cell.crs is None:
         raise ImageryError(
             "--source.taken expects georeferenced images, because the sun of a date and time "
             "depends on the place, but some have no georeference; leave it out, and let "
             "`skyproof clear` measure the sun from the vehicles' shadows."
         )
-    (longitude, latitude), (east, north) = to_reference_system(cell.crs, _DEGREES, [middle, above])
+    (longitude, latitude), (east, north) = to_reference_system(cell.crs, DEGREES, [middle, above])
     # Angle from the cell's y axis clockwise to true north.
     grid_rad = math.atan2((east - longitude) * math.cos(math.radians(latitude)), north - latitude)
     place = Observer(latitude, longitude)

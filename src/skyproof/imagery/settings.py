@@ -1,4 +1,4 @@
-"""Settings for reading, cutting, labelling and clearing imagery. Imports no torch."""
+"""Settings for reading, cutting and labelling imagery. Imports no torch."""
 
 import math
 from dataclasses import dataclass
@@ -17,7 +17,6 @@ _ROOM_PX = 112
 """Difference between the sides of procedural tiles and of the windows cut from them."""
 
 _TileSide = Annotated[int, Meta(ge=1, le=8192)]
-_Score = Annotated[float, Meta(gt=0, le=1)]
 
 
 @dataclass(frozen=True)
@@ -102,29 +101,6 @@ class LabelSettings:
 
     path: Path | None = None
     classes: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class ClearSettings:
-    """How vehicles are removed.
-
-    Attributes:
-        finding_score: lowest score of detections that are removed; None is the detector's frozen
-            threshold. A lower score leaves fewer vehicles and removes more ground.
-        margin_m: width in metres by which vehicles' boxes grow on all sides; doubled if the shadow
-            is unknown.
-        largest_masked_share: largest share of a tile that may be removed; a tile with more is left
-            out.
-        rounds: number of repairs of a tile in which the detector still finds a vehicle.
-    """
-
-    finding_score: _Score | None = None
-    margin_m: Annotated[float, Meta(ge=0, le=100)] = 0.4
-    largest_masked_share: Annotated[float, Meta(gt=0, lt=1)] = 0.35
-    rounds: Annotated[int, Meta(ge=0, le=100)] = 2
-
-    def __post_init__(self) -> None:
-        check_ranges(self)
 
 
 def tiling_for_images(image_px: int, *, gsd_m: float, imagery: bool) -> TilingSettings:

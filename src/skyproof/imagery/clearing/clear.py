@@ -1,7 +1,4 @@
-"""Removes vehicles from a tiled folder: finds, masks with shadows, fills, checks, repairs.
-
-A tile that cannot be cleared is left out (section 5.2).
-"""
+"""Removes vehicles from a tiled folder; a tile that cannot be cleared is left out (section 5.2)."""
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -14,6 +11,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from skyproof.datasets.annotations import ANNOTATIONS, drop_images
+from skyproof.datasets.dataset import boxes_of
 from skyproof.datasets.pictures import Boxes, Pixels
 from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError, ImageryError, StoredFileError
@@ -33,7 +31,6 @@ from skyproof.imagery.clearing.vehicle_masks import (
     vehicle_mask,
 )
 from skyproof.imagery.drivable import drivable_directions
-from skyproof.imagery.settings import ClearSettings
 from skyproof.imagery.tiles.tile_index import copy_ground_index
 from skyproof.layout import CLEARING_RECORD
 from skyproof.scenes.background_index import BackgroundTile, save_map, save_tile, write_index
@@ -43,17 +40,22 @@ from skyproof.scenes.splits import SPLITS
 
 Fill = Callable[[Pixels, Bool[Tensor, "H W"]], Pixels]
 
+MARGIN_M = 0.4
+"""Growth of boxes on all sides; doubled if the shadow is unknown."""
+LARGEST_MASKED_SHARE = 0.35
+"""A tile with more to remove is left out."""
+ROUNDS = 2
+"""Repairs of a tile in which the detector still finds a vehicle."""
+
+_REMEDY = "copy the whole folder again, or clear the imagery again"
+
 
 @dataclass
 class Cleared:
-    """The result for one tile, and its row in the record.
+    """The row of one tile in the record.
 
-    Attributes:
-        labelled: number of labelled objects removed, ignore regions included.
-        detected: number of vehicles removed that only the detector found, repairs included.
-        places: number of vehicles whose place is kept: labelled or surely detected ones.
-        remaining: number of vehicles that the checking detector still found; None without one.
-        left_out: reason why the tile is not in the result, or None.
+    Counts are of labelled objects (ignore regions included), vehicles that only the detector found
+    (repairs included), kept places, and vehicles that the checker still found (None without one).
     """
 
     id: str
@@ -69,11 +71,11 @@ class Cleared:
 
 @dataclass(frozen=True)
 class _Found:
-    """The boxes to remove from a tile; the `sure` ones are vehicles beyond doubt."""
+    """The boxes to remove from a tile, and those of its vehicles alone."""
 
     labelled: Boxes
     detected: Boxes
-    sure: Boxes
+    vehicles: Boxes
     removed: tuple[RemovedVehicle, ...]
     profiles: Float[Tensor, "k directions layers"] | None
 
@@ -84,12 +86,9 @@ class _Found:
 
 @dataclass(frozen=True)
 class _Clearing:
-    """The inputs of one clearing."""
-
     backgrounds: BackgroundSet
     out: Path
     labels: Mapping[str, TileLabels] | None
-    settings: ClearSettings
     fill: Fill
     finder: VehicleFinder | None
     checker: VehicleFinder | None
@@ -98,35 +97,26 @@ class _Clearing:
 def clear_backgrounds(
     folder: Path,
     out: Path,
-    settings: ClearSettings | None = None,
     *,
     fill: Fill = fill_ground,
     finder: VehicleFinder | None = None,
     checker: VehicleFinder | None = None,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> dict[str, Any]:
-    """Writes a tiled folder of the same tiles without their vehicles.
-
-    The places and headings of the vehicles are stored with every tile, and the map of drivable
-    ground is made anew. The sun and sky of each source are estimated from the shadows of vehicles,
-    and stored as well.
+    """Writes a tiled folder of the same tiles without their vehicles, and returns its record.
 
     Labelled vehicles, ignored objects, and the detections of `finder` are removed. Without a
     finder, unlabelled regions are filled as a whole. Tiles on which `checker` still finds a vehicle
     are repaired, and left out if that does not help. A contact sheet shows every tile that was
-    changed or left out.
+    changed or left out. Every tile keeps the places of its vehicles, a new map of drivable ground,
+    and the sun and sky by the shadows of vehicles.
 
     Args:
         folder: a tiled folder, with or without `<split>/annotations.json`.
-        out: folder for the tiles, their maps of drivable ground, `index.json`, `index.geojson`,
-            `clearing.json` and `sheets/`; use `finished_folder` around it.
+        out: folder for the result; use `finished_folder` around it.
         fill: fills a mask of a tile and leaves every byte outside it as it was.
-        finder: finds vehicles that are not labelled.
         checker: inspects the result at its own threshold.
         progress: called with ("find" or "clear", tiles done, tiles in all).
-
-    Returns:
-        The record, as written to `clearing.json`.
 
     Raises:
         ConfigurationError: there are neither labels nor a finder, or a detector has another
@@ -144,9 +134,7 @@ def clear_backgrounds(
         )
     for used in (finder, checker):
         check_resolution(used, backgrounds.gsd_m)
-    clearing = _Clearing(
-        backgrounds, out, labels, settings or ClearSettings(), fill, finder, checker
-    )
+    clearing = _Clearing(backgrounds, out, labels, fill, finder, checker)
     # Vehicles of all tiles come first: a shadow is estimated from all tiles of one picture.
     found = {}
     for done, tile in enumerate(tiles, start=1):
@@ -170,8 +158,7 @@ def clear_backgrounds(
     if not kept:
         reasons = ", ".join(f"{count} {why}" for why, count in record["totals"]["left_out"].items())
         raise ImageryError(
-            f"No tile of {folder} could be cleared ({reasons}); give a better detector, or allow a "
-            "larger ClearSettings.largest_masked_share."
+            f"No tile of {folder} could be cleared ({reasons}); give a better detector."
         )
     record |= lights_record(tiles, lights)
     write_json(out / CLEARING_RECORD, record)
@@ -184,24 +171,21 @@ def _find(clearing: _Clearing, tile: BackgroundTile) -> _Found:
     labels = (clearing.labels or {}).get(tile.id, TileLabels())
     gsd_m, finder = clearing.backgrounds.gsd_m, clearing.finder
     image = clearing.backgrounds.pixels(tile.id)
-    labelled, detected, sure = labels.boxes, torch.zeros(0, 4), torch.zeros(0, 4)
+    labelled = boxes_of([*labels.vehicles, *labels.ignored])
+    detected = torch.zeros(0, 4)
     if finder is None:
         # Without a detector, unlabelled regions may hold vehicles: they are filled whole.
-        labelled = torch.cat([labelled, labels.unlabelled_boxes])
+        labelled = torch.cat([labelled, boxes_of(labels.unlabelled)])
     else:
-        threshold = finder.detector.threshold
-        detections = finder.detections(image, clearing.settings.finding_score or threshold)
-        others = other_vehicles(detections, labelled)
-        labelled = grown_to_what_is_seen(labelled, detections)
-        detected = others.boxes
-        # Many detections below the threshold are no vehicles, and are removed to be safe.
-        sure = detected[others.scores >= threshold]
+        seen = finder.detections(image)
+        detected = other_vehicles(seen, labelled)
+        labelled = grown_to_what_is_seen(labelled, seen)
     boxes = torch.cat([labelled, detected])
     return _Found(
         labelled,
         detected,
-        torch.cat([labels.vehicle_boxes, sure]),
-        removed_vehicles(image, labels, sure, gsd_m),
+        torch.cat([boxes_of(labels.vehicles), detected]),
+        removed_vehicles(image, labels, detected, gsd_m),
         darkness_profiles(image, boxes, gsd_m=gsd_m) if len(boxes) else None,
     )
 
@@ -224,28 +208,27 @@ def _clear_tile(
     sheet: ContactSheet,
 ) -> Cleared:
     """Fills one tile, checks it, stores it, and adds it to the sheet if it changed."""
-    settings, checker = clearing.settings, clearing.checker
+    checker, gsd_m = clearing.checker, clearing.backgrounds.gsd_m
     row = Cleared(tile.id, tile.split, len(found.labelled), len(found.detected), len(found.removed))
     before = image = clearing.backgrounds.pixels(tile.id)
     mask = torch.zeros(image.shape[1:], dtype=torch.bool)
     boxes, remaining = found.boxes, torch.zeros(0, 4)
     while True:
-        gsd_m, margin_m = clearing.backgrounds.gsd_m, settings.margin_m
-        round_mask = vehicle_mask(mask.shape, boxes, shadow, gsd_m=gsd_m, margin_m=margin_m)
+        round_mask = vehicle_mask(mask.shape, boxes, shadow, gsd_m=gsd_m, margin_m=MARGIN_M)
         mask |= round_mask
         row.masked_share = round(float(mask.float().mean()), 4)
-        if row.masked_share > settings.largest_masked_share:
+        if row.masked_share > LARGEST_MASKED_SHARE:
             row.left_out = "too much to remove"
             break
         if round_mask.any():
             image = clearing.fill(image, round_mask)
         if checker is None:
             break
-        remaining = checker.detections(image, checker.detector.threshold).boxes
+        remaining = checker.detections(image)
         row.remaining = len(remaining)
         if not len(remaining):
             break
-        if row.rounds == settings.rounds:
+        if row.rounds == ROUNDS:
             row.left_out = "a vehicle is still found"
             break
         row.rounds += 1
@@ -266,7 +249,7 @@ def _with_places(clearing: _Clearing, tile: BackgroundTile, found: _Found) -> Ba
     shade = backgrounds.shade(tile.id)
     cover = backgrounds.cover(tile.id)
     # On an unlabelled tile, the absence of finds does not mean that no vehicle may stand there.
-    stood = found.sure if clearing.labels is not None or len(found.sure) else None
+    stood = found.vehicles if clearing.labels is not None or len(found.vehicles) else None
     directions = drivable_directions(cleared, backgrounds.gsd_m, stood)
     return replace(
         tile,
@@ -290,14 +273,21 @@ def _record(
 ) -> dict[str, Any]:
     finder, checker = clearing.finder, clearing.checker
     kept = [row for row in rows if row.left_out is None]
-    labels = [] if clearing.labels is None else ["labels"]
+    vehicles_from = [] if clearing.labels is None else ["labels"]
+    if finder is not None:
+        vehicles_from.append(finder.name)
     checked_by: Any = "not checked by a detector"
     if checker is not None:
         checked_by = {"name": checker.name, "threshold": checker.detector.threshold}
     return {
         "format_version": 1,
-        "settings": asdict(clearing.settings),
-        "vehicles_from": [*labels, *([] if finder is None else [finder.name])],
+        "settings": {
+            "finding_score": None,
+            "margin_m": MARGIN_M,
+            "largest_masked_share": LARGEST_MASKED_SHARE,
+            "rounds": ROUNDS,
+        },
+        "vehicles_from": vehicles_from,
         "checked_by": checked_by,
         "shadows": {
             picture: shadow and {**asdict(shadow), "direction": list(shadow.direction)}
@@ -317,14 +307,8 @@ def _record(
     }
 
 
-_REMEDY = "copy the whole folder again, or clear the imagery again"
-
-
 def reject_tiles(folder: Path, ids: Sequence[str]) -> list[str]:
-    """Removes tiles from the index and from the annotations of their splits; pictures stay.
-
-    Returns:
-        Splits that have no tile any more.
+    """Removes tiles from the index and the annotations, and returns the splits without tiles.
 
     Raises:
         ConfigurationError: an id is not in the index, or no tile would stay.
@@ -340,8 +324,8 @@ def reject_tiles(folder: Path, ids: Sequence[str]) -> list[str]:
         raise ConfigurationError(
             f"Every tile of {folder} would be rejected; clear the imagery again instead."
         )
-    if (folder / CLEARING_RECORD).is_file():
-        path = folder / CLEARING_RECORD
+    path = folder / CLEARING_RECORD
+    if path.is_file():
         record: dict[str, Any] = read_document(path, dict[str, Any], _REMEDY)
         before = record.get("rejected", [])
         if not isinstance(before, list) or not all(isinstance(name, str) for name in before):

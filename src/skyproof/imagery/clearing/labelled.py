@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from skyproof.datasets.annotations import ANNOTATIONS, AnnotationRow, read_annotations
-from skyproof.datasets.dataset import boxes_of
 from skyproof.datasets.pictures import Boxes, Pixels
 from skyproof.imagery.labels.label import Point
 from skyproof.scenes.places import HeadingFrom, RemovedVehicle
@@ -21,6 +20,20 @@ WHOLE = 0.98
 """A vehicle with a smaller share on the tile has a box that does not show its sides."""
 LONGEST_M = 30.0
 """Corners farther apart are not a vehicle's."""
+STEP_RAD = math.radians(2)
+LENGTH_M, LENGTH_SPREAD_M = 4.6, 0.6
+WIDTH_M, WIDTH_SPREAD_M = 1.83, 0.15
+BOX_SPREAD_M = 0.3
+"""Mean and standard deviation of vehicles' sides, and the standard deviation of boxes."""
+CORNER_M = 0.3
+"""Radius of a vehicle's corners: a turned one has a smaller box."""
+OUTLINE_WEIGHT = 12.0
+END_SHARE = 0.4
+"""Weights of the outline in the picture against the box, and of an end against a long side."""
+LARGEST_MISFIT = 12.5
+"""A box five standard deviations from any vehicle's holds something else."""
+
+_Grid = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True)
@@ -30,21 +43,6 @@ class TileLabels:
     vehicles: tuple[AnnotationRow, ...] = ()
     ignored: tuple[AnnotationRow, ...] = ()
     unlabelled: tuple[AnnotationRow, ...] = ()
-
-    @property
-    def boxes(self) -> Boxes:
-        """The boxes of all objects, vehicles first, pixel xyxy."""
-        return boxes_of([*self.vehicles, *self.ignored])
-
-    @property
-    def unlabelled_boxes(self) -> Boxes:
-        """The boxes of the regions that were not labelled, pixel xyxy."""
-        return boxes_of(self.unlabelled)
-
-    @property
-    def vehicle_boxes(self) -> Boxes:
-        """The boxes of the vehicles alone."""
-        return boxes_of(self.vehicles)
 
 
 def read_labels_of_tiles(folder: Path) -> dict[str, TileLabels] | None:
@@ -71,7 +69,7 @@ def removed_vehicles(
     """Returns the places and headings of a tile's labelled and detected vehicles.
 
     Headings come from oriented labels, else from the picture (`estimate_stance`). They are unknown
-    if the tile's border cuts the vehicle. `detected` holds boxes, pixel xyxy.
+    if the tile's border cuts the vehicle.
     """
     places = [_labelled_vehicle(image, row, gsd_m) for row in labels.vehicles]
     for box in detected.tolist():
@@ -128,22 +126,6 @@ def _between(first: Point, second: Point) -> Point:
     return (first[0] + second[0]) / 2, (first[1] + second[1]) / 2
 
 
-_Grid = NDArray[np.floating[Any]]
-
-STEP_RAD = math.radians(2)
-LENGTH_M, LENGTH_SPREAD_M = 4.6, 0.6
-WIDTH_M, WIDTH_SPREAD_M = 1.83, 0.15
-BOX_SPREAD_M = 0.3
-"""Mean and standard deviation of vehicles' sides, and the standard deviation of boxes."""
-CORNER_M = 0.3
-"""Radius of a vehicle's corners: a turned one has a smaller box."""
-OUTLINE_WEIGHT = 12.0
-END_SHARE = 0.4
-"""Weights of the outline in the picture against the box, and of an end against a long side."""
-LARGEST_MISFIT = 12.5
-"""A box five standard deviations from any vehicle's holds something else."""
-
-
 def estimate_stance(
     image: Pixels, box: Sequence[float], gsd_m: float
 ) -> tuple[float, float, float] | None:
@@ -153,15 +135,10 @@ def estimate_stance(
     have the given width and height (w = l |cos| + b |sin|, less rounded corners), its sides must be
     a small vehicle's, and the picture must have edges along its outline. The box alone cannot
     distinguish a heading from its mirror image, but the outline can. A square box, as for a point
-    label, does not show the heading: the outline decides alone.
+    label, does not show the heading: the outline decides alone. Errors: docs/imagery.md.
 
-    On 300 rendered vehicles of the demo at 12.5 cm the median error is 1.1 degrees, and 1.0 % are
-    off by more than 20 (`tools/measure_headings.py` of commit 37a385d). With squares around points
-    it is 7.0 degrees and 17 %.
-
-    Returns:
-        Heading from x (right) towards up, modulo pi, in radians; length and width in metres. None
-        if the box fits no small vehicle.
+    It returns the heading from x (right) towards up, modulo pi, in radians, then length and width
+    in metres; None if the box fits no small vehicle.
     """
     left, top, right, bottom = box
     width_m, height_m = (right - left) * gsd_m, (bottom - top) * gsd_m

@@ -24,11 +24,7 @@ MASKED, REMAINING = (240, 228, 66), (255, 106, 0)
 
 @dataclass(frozen=True)
 class SheetRow:
-    """One tile of the sheet, `[3, H, W]` before and after.
-
-    The mask is outlined before, the vehicles that remain are drawn after. A kept tile can be
-    rejected.
-    """
+    """One tile: its mask is outlined on the picture before, remaining vehicles on that after."""
 
     tile: str
     caption: str
@@ -40,10 +36,7 @@ class SheetRow:
 
 
 class ContactSheet:
-    """Writes a picture of every tile, and `index.html` if the block ends without an error.
-
-    On the page a click on a tile rejects it, and the command that drops all rejected ones is shown.
-    """
+    """Writes a picture of every tile, and `index.html` if the block ends without an error."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = Path(folder)

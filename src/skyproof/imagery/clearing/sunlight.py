@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
@@ -30,7 +29,7 @@ from skyproof.imagery.clearing.vehicle_masks import (
     stack_profiles,
     window_around,
 )
-from skyproof.imagery.exposure import exposure_of
+from skyproof.imagery.exposure import by_picture, exposure_of, picture_of
 from skyproof.scenes.background_index import BackgroundTile
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.light import Light, SunEstimate, rounded_levels
@@ -40,16 +39,39 @@ FEWEST_TO_SHARE = 3
 """Fewest photographs that must agree before others take their light."""
 WITHIN_RAD = math.radians(20)
 KNOWN_FROM = "other photographs of the set"
+HEIGHT_M = 1.5
+"""Height of a vehicle: the median of the catalogue's saloons, hatchbacks and estates."""
+END_SHARE = 0.35
+# Factor and addition that turn the end of the darkness into a shadow's length. They are fitted on
+# rendered scenes with the sun at 15 to 70 degrees, with an error of 2.2 degrees (standard
+# deviation), a little more with estimated headings.
+_STRETCH, _HIDDEN_M = 1.36, 0.12
+_ELEVATION_SD_RAD = math.radians(3)
+_RESAMPLES = 60
+_LARGEST_SD_RAD = math.radians(30)
+_LOWEST_RAD, _HIGHEST_RAD = math.radians(8), math.radians(80)
+
+# Even the shadow of a high sun is wider than half of this.
+_NEAR_M = 0.5
+# Shadows are read from this distance, beyond the vehicle, up to this share of their length, before
+# their soft edge.
+_FROM_M, _TO_SHARE = 0.12, 0.25
+_FEWEST_PIXELS = 6
+# At this distance the vehicle also hides a third of the sky, in both renderers.
+_SKY_LEFT = 0.68
+_HIGHEST_FOR_SKY_RAD = math.radians(60)
+
+OVERCAST_SKY = (1.0, 1.0, 1.0)
+"""Without shadows of vehicles, all light is the sky's."""
 
 Array = NDArray[np.float64]
 _Vehicles = Mapping[str, Sequence[RemovedVehicle]]
 
 
 def shared_sun(suns: Sequence[SunEstimate]) -> SunEstimate | None:
-    """Returns the median of suns that agree, as those of a flight or of neighbouring sheets do.
+    """Returns the median of at least 3 suns whose azimuths lie within 20 degrees of it, else None.
 
-    Its standard deviations combine their errors and their differences. It is None with fewer than
-    3, or if an azimuth differs from the median by more than 20 degrees.
+    Its standard deviations combine their errors and their differences.
     """
     if len(suns) < FEWEST_TO_SHARE:
         return None
@@ -81,35 +103,9 @@ def _deviation(own_rad: Sequence[float], differences_rad: Array) -> float:
     return round(math.hypot(float(np.median(own_rad)), spread_rad), 4)
 
 
-HEIGHT_M = 1.5
-"""Height of a vehicle: the median of the catalogue's saloons, hatchbacks and estates."""
-END_SHARE = 0.35
-# Factor and addition that turn the end of the darkness into a shadow's length. They are fitted on
-# rendered scenes with the sun at 15 to 70 degrees, with an error of 2.2 degrees (standard
-# deviation), a little more with estimated headings.
-_STRETCH, _HIDDEN_M = 1.36, 0.12
-_ELEVATION_SD_RAD = math.radians(3)
-_RESAMPLES = 60
-_LARGEST_SD_RAD = math.radians(30)
-_LOWEST_RAD, _HIGHEST_RAD = math.radians(8), math.radians(80)
-
-# Even the shadow of a high sun is wider than half of this.
-_NEAR_M = 0.5
-# Shadows are read from this distance, beyond the vehicle, up to this share of their length, before
-# their soft edge.
-_FROM_M, _TO_SHARE = 0.12, 0.25
-_FEWEST_PIXELS = 6
-# At this distance the vehicle also hides a third of the sky, in both renderers.
-_SKY_LEFT = 0.68
-_HIGHEST_FOR_SKY_RAD = math.radians(60)
-
-OVERCAST_SKY = (1.0, 1.0, 1.0)
-"""Without shadows of vehicles, all light is the sky's."""
-
-
 @dataclass(frozen=True)
 class Footprints:
-    """The ground that vehicles cover: boxes with a heading of 0, pixel xyxy, and their headings."""
+    """The ground that vehicles cover: boxes as if they headed right, and their headings."""
 
     boxes: Boxes
     headings_rad: tuple[float, ...]
@@ -127,30 +123,15 @@ class Footprints:
         return cls(torch.tensor(boxes, dtype=torch.float32).reshape(-1, 4), tuple(headings_rad))
 
 
-def picture_of(tile: BackgroundTile) -> str:
-    """Names the picture of a tile's sun: its source image, or its id if it is drawn."""
-    return tile.source if tile.kind is None else tile.id
-
-
-def by_picture(tiles: Iterable[BackgroundTile]) -> dict[str, list[BackgroundTile]]:
-    """Groups the tiles of imagery by their picture; drawn tiles are skipped."""
-    groups: dict[str, list[BackgroundTile]] = defaultdict(list)
-    for tile in tiles:
-        if tile.kind is None:
-            groups[picture_of(tile)].append(tile)
-    return groups
-
-
 def measured_lights(
     backgrounds: BackgroundSet, tiles: Sequence[BackgroundTile], vehicles: _Vehicles
 ) -> dict[str, Light | None]:
     """Measures each tile's light: sun and sky by vehicles' shadows, white and black by ground.
 
-    `vehicles` stand on the tiles, by their ids. The light of drawn ground, and a sun of a date and
-    time, stay. If vehicles cast no shadow, all light is the sky's. If their shadows do not show the
-    sun, it is that of the set's other photographs, provided that these agree (`shared_sun`). The
-    sky is overcast if at least three other photographs are, and three for each that has a sun,
-    because vehicles that stand alike may imitate a sun under clouds.
+    The light of drawn ground, and a sun of a date and time, stay. If vehicles cast no shadow, all
+    light is the sky's. If their shadows do not show the sun, it is the `shared_sun` of the set's
+    other photographs. The sky is overcast if at least three others are, and three for each that has
+    a sun, because vehicles that stand alike may imitate a sun under clouds.
     """
     lights = {tile.id: tile.light for tile in tiles}
     pictures = by_picture(tiles)
@@ -215,10 +196,7 @@ def _light_by_vehicles(
 
 
 def casts_no_shadow(profiles: Iterable[Float[Tensor, "_ directions layers"]]) -> bool:
-    """Tells whether at least 3 vehicles have no dark side, as under an overcast sky.
-
-    The side's darkness on rendered scenes is 0.09 with the sun at 78 degrees, and 0.05 overcast.
-    """
+    """Tells whether at least 3 vehicles have no dark side, as under an overcast sky."""
     stacked = stack_profiles(profiles)
     return len(stacked) >= FEWEST_VEHICLES and _side(stacked)[2] < FAINTEST_SHADOW
 
@@ -226,10 +204,9 @@ def casts_no_shadow(profiles: Iterable[Float[Tensor, "_ directions layers"]]) ->
 def estimate_sun(profiles: Iterable[Float[Tensor, "_ directions layers"]]) -> SunEstimate | None:
     """Estimates the place of the sun from the `darkness_profiles` of boxes with their headings.
 
-    The azimuth is opposite to the shadows' side, and its standard deviation comes from a bootstrap
-    over vehicles. The elevation follows from a vehicle of 1.5 m, whose shadow ends where the
-    darkness, less that of the side across, falls to 35 % of its largest value. It is None with
-    fewer than 3 vehicles, without clear shadows, or if the azimuth is uncertain by 30 degrees.
+    The azimuth is opposite to the shadows' side, with a standard deviation from a bootstrap over
+    vehicles. The elevation follows from the end of the shadow of a vehicle of 1.5 m. It is None
+    with fewer than 3 vehicles, without clear shadows, or with an azimuth uncertain by 30 degrees.
     """
     stacked = stack_profiles(profiles)
     if len(stacked) < FEWEST_VEHICLES:
@@ -259,9 +236,8 @@ def shadow_light(
 ) -> Float[Tensor, "m 3"]:
     """Measures the share of red, green and blue light in the shadow of each vehicle, `[m, 3]`.
 
-    It compares the ground in the part of the shadow next to the vehicle with the ground as far away
-    on the other side, both less the photograph's black. Vehicles without enough free ground on both
-    sides are skipped.
+    It compares the ground next to the vehicle with that on its other side, less the photograph's
+    black. Vehicles without enough free ground on both sides are skipped.
     """
     linear = srgb_to_linear(image.double() / 255) - torch.tensor(light.black)[:, None, None]
     values = linear.clamp(min=0.0).numpy()

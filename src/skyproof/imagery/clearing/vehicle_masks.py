@@ -15,7 +15,7 @@ from torch import Tensor
 from torchvision import ops
 
 from skyproof.datasets.pictures import Boxes, Pixels
-from skyproof.detectors.detector import Detections, Detector, TrainableDetector
+from skyproof.detectors.detector import Detector, TrainableDetector
 from skyproof.detectors.inference import covering_windows, detect_batch
 from skyproof.errors import ConfigurationError
 
@@ -32,6 +32,7 @@ FAINTEST_SHADOW = 0.05
 END_SHARE = 0.25
 STRETCH, PENUMBRA_M = 1.25, 0.5
 """Factor and addition to the measured length, for higher vehicles and soft edges."""
+SAME_VEHICLE_IOU = 0.3
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ def vehicle_mask(
 ) -> Bool[Tensor, "H W"]:
     """Masks the pixels that boxes touch, grown by a margin and moved along the shadow.
 
-    Boxes are pixel xyxy, half-open. The margin is doubled if the shadow is unknown (None).
+    The margin is doubled if the shadow is unknown (None).
     """
     mask = np.zeros(size_px, dtype=bool)
     margin_px = margin_m / gsd_m * (1 if shadow is not None else 2)
@@ -203,9 +204,9 @@ def arrival(
     columns: slice,
     turn_rad: float = 0.0,
 ) -> Array:
-    """Returns how far the box must move in the direction until it covers each pixel centre.
+    """Returns how far a turned box must move until it covers each pixel centre; infinity if never.
 
-    It is 0 inside, and infinite if the box never covers it. The box is turned about its middle.
+    It is 0 inside. The box is turned about its middle.
     """
     left, top, right, bottom = box
     half = ((right - left) / 2, (bottom - top) / 2)
@@ -231,9 +232,6 @@ def arrival(
     return np.where(first <= last, first, np.inf)
 
 
-SAME_VEHICLE_IOU = 0.3
-
-
 @dataclass(frozen=True)
 class VehicleFinder:
     """A detector for tiles of any size; its name in the record is its folder and digest."""
@@ -248,41 +246,36 @@ class VehicleFinder:
             return cls(detector, f"{folder} (by its answers)")
         return cls(detector.to(device), f"{folder} ({detector.weights_sha256[:12]})")
 
-    def detections(self, image: Pixels, lowest_score: float) -> Detections:
+    def detections(self, image: Pixels) -> Boxes:
         """Finds vehicles in a tile of any size, a large one through windows that overlap."""
-        detected = []
+        boxes, scores = torch.zeros(0, 4), torch.zeros(0)
         for left, top, width, height in covering_windows((image.shape[2], image.shape[1])):
             part = image[:, top : top + height, left : left + width]
-            detections = detect_batch(self.detector, part[None])[0]
+            (found,) = detect_batch(self.detector, part[None])
+            keep = found.scores.cpu() >= self.detector.threshold
             shift = torch.tensor([left, top, left, top], dtype=torch.float32)
-            keep = detections.scores.cpu() >= lowest_score
-            detected.append((detections.boxes.cpu()[keep] + shift, detections.scores.cpu()[keep]))
-        boxes = torch.cat([f[0] for f in detected])
-        scores = torch.cat([f[1] for f in detected])
-        kept = ops.nms(boxes, scores, 0.5)
-        return Detections(boxes[kept].reshape(-1, 4), scores[kept])
+            boxes = torch.cat([boxes, found.boxes.cpu()[keep] + shift])
+            scores = torch.cat([scores, found.scores.cpu()[keep]])
+        return boxes[ops.nms(boxes, scores, 0.5)]
 
 
-def other_vehicles(detections: Detections, known: Boxes) -> Detections:
-    """Returns the detections with an IoU below 0.3 with every known vehicle."""
-    boxes = detections.boxes
-    if not len(known) or not len(boxes):
-        return detections
-    other = ops.box_iou(boxes, known).max(dim=1).values < SAME_VEHICLE_IOU
-    return Detections(boxes[other], detections.scores[other])
+def other_vehicles(seen: Boxes, known: Boxes) -> Boxes:
+    """Returns the boxes with an IoU below 0.3 with every known vehicle."""
+    if not len(known) or not len(seen):
+        return seen
+    return seen[ops.box_iou(seen, known).max(dim=1).values < SAME_VEHICLE_IOU]
 
 
-def grown_to_what_is_seen(known: Boxes, detections: Detections) -> Boxes:
+def grown_to_what_is_seen(known: Boxes, seen: Boxes) -> Boxes:
     """Grows known boxes so that they include the detection with the largest IoU, from 0.3 on.
 
     The square around a point label would leave bumpers. No box shrinks.
     """
-    boxes = detections.boxes
-    if not len(known) or not len(boxes):
+    if not len(known) or not len(seen):
         return known
-    overlap, nearest = ops.box_iou(known, boxes).max(dim=1)
-    low = torch.minimum(known[:, :2], boxes[nearest, :2])
-    high = torch.maximum(known[:, 2:], boxes[nearest, 2:])
+    overlap, nearest = ops.box_iou(known, seen).max(dim=1)
+    low = torch.minimum(known[:, :2], seen[nearest, :2])
+    high = torch.maximum(known[:, 2:], seen[nearest, 2:])
     grown = torch.cat([low, high], dim=1)
     return torch.where((overlap >= SAME_VEHICLE_IOU)[:, None], grown, known)
 

@@ -23,6 +23,8 @@ EQUATOR_RADIUS_M, ECCENTRICITY_SQUARED = 6378137.0, 0.00669437999014
 
 Point = tuple[float, float]
 
+DEGREES = CRS.from_epsg(4326)
+
 
 @dataclass(frozen=True)
 class Georeference:
@@ -147,7 +149,7 @@ def _ground_resolution(
 
 def _distances_m(crs: CRS, places: Sequence[Point]) -> list[float] | None:
     """Returns distances of nearby places from the first; None if one is nowhere on Earth."""
-    degrees = to_reference_system(crs, CRS.from_epsg(4326), places)
+    degrees = to_reference_system(crs, DEGREES, places)
     if not all(math.isfinite(value) for place in degrees for value in place):
         return None
     longitude, latitude = degrees[0]

@@ -14,7 +14,12 @@ from scipy.sparse.csgraph import connected_components
 
 from skyproof.errors import ImageryError
 from skyproof.imagery.settings import TilingSettings
-from skyproof.imagery.tiles.georeference import is_true_to_scale, outline, to_reference_system
+from skyproof.imagery.tiles.georeference import (
+    DEGREES,
+    is_true_to_scale,
+    outline,
+    to_reference_system,
+)
 from skyproof.imagery.tiles.sources import Source
 from skyproof.ranges import is_name
 from skyproof.scenes.splits import Split
@@ -226,7 +231,7 @@ def _layout(
     middle = first.georeference.transform * (first.width_px / 2, first.height_px / 2)
     code = crs.to_epsg() if is_true_to_scale(crs, middle) else None
     if code is None:
-        longitude, latitude = to_reference_system(crs, CRS.from_epsg(4326), [middle])[0]
+        longitude, latitude = to_reference_system(crs, DEGREES, [middle])[0]
         code = (32600 if latitude >= 0 else 32700) + min(60, int((longitude + 180) // 6) + 1)
     system = CRS.from_epsg(code)
     return f"epsg{code}", system, {i: extent_of(sources[i], system) for i in group}
@@ -234,9 +239,8 @@ def _layout(
 
 def _groups(sources: Sequence[Source]) -> list[list[int]]:
     """Groups the numbers of sources whose extents in degrees touch, directly or through others."""
-    degrees = CRS.from_epsg(4326)
     placed = [i for i, source in enumerate(sources) if source.georeference.crs is not None]
-    extents = np.array([extent_of(sources[i], degrees) for i in placed]).reshape(-1, 4)
+    extents = np.array([extent_of(sources[i], DEGREES) for i in placed]).reshape(-1, 4)
     low, high = extents[:, :2], extents[:, 2:]
     # Sheets that lie side by side leave gaps of rounding.
     gap = 1e-5

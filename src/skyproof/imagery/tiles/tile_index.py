@@ -6,11 +6,10 @@ from typing import Annotated, Literal
 
 import msgspec
 from msgspec import Meta
-from rasterio.crs import CRS
 
 from skyproof.documents import read_document
 from skyproof.files import write_json
-from skyproof.imagery.tiles.georeference import outline, to_reference_system
+from skyproof.imagery.tiles.georeference import DEGREES, outline, to_reference_system
 from skyproof.imagery.tiles.grid import Cell
 from skyproof.ranges import Coordinate, FileReference, Name
 from skyproof.scenes.background_index import BackgroundTile
@@ -64,7 +63,7 @@ def write_ground_index(
             continue
         border = [cell.transform * point for point in outline(cell.size_px, cell.size_px, steps=1)]
         # GeoJSON runs anticlockwise, seen from above; rows of pixels run down.
-        ring = to_reference_system(cell.crs, CRS.from_epsg(4326), [*reversed(border), border[-1]])
+        ring = to_reference_system(cell.crs, DEGREES, [*reversed(border), border[-1]])
         facts = (tile.id, tile.file, tile.split, tile.source, tile.licence)
         properties = _TileProperties(*facts, cell.crs.to_string(), cell.extent)
         polygon = _Polygon("Polygon", [[(round(x, 9), round(y, 9)) for x, y in ring]])

@@ -4,7 +4,7 @@ import dataclasses
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -52,20 +52,6 @@ class TilingRecord:
     notes: list[str]
 
 
-@dataclass
-class _Cut:
-    """The cells of the sources, and the tiles that were cut from them."""
-
-    folder: Path
-    settings: TilingSettings
-    sources: list[Source]
-    cells: list[Cell]
-    notes: list[str]
-    kept: dict[str, Cell] = field(default_factory=dict)
-    tiles: list[BackgroundTile] = field(default_factory=list)
-    annotations: dict[str, list[Annotation]] = field(default_factory=dict)
-
-
 def tile_imagery(
     paths: Sequence[Path],
     folder: Path,
@@ -78,21 +64,12 @@ def tile_imagery(
 ) -> TilingRecord:
     """Cuts orthophotos into a background set, and with labels into a dataset per split.
 
-    It writes `index.json`, `index.geojson`, `<split>/images/*.png`, `drivable/*.png` and
-    `tiling.json`. Use `finished_folder` around it.
-
-    Sources are read window by window: memory does not grow with them. The ground is cut into cells
-    (`lay_grids`), a cell becomes a tile if sources show 98 % of it (`read_cell`), and blocks of
-    cells go to the splits (`assign_splits`). Every place of georeferenced sources lies in one cell,
-    so in one split, however many of them show it. Images without georeference that show the same
-    ground, such as frames of a flight, cannot be told apart from others: splits may then share it.
-
-    Blur and noise of the tiles are measured, so that vehicles are drawn as sharp as they are
-    (`measure_sensor`), and the exposure of each source, so that they are as bright
-    (`measure_exposure`). A simple rule finds drivable ground (`drivable_directions`).
-
-    With labels every split also gets `annotations.json`, so that its folder is a dataset to train
-    on. Tiles without any vehicle stay.
+    Use `finished_folder` around it. Sources are read window by window: memory does not grow with
+    them. The ground is cut into cells (`lay_grids`), a cell becomes a tile if sources show 98 % of
+    it (`read_cell`), and blocks of cells go to the splits (`assign_splits`). Every place of
+    georeferenced sources lies in one cell, so in one split. Images without georeference that show
+    the same ground, such as frames of a flight, may share it between splits. Vehicles are later
+    drawn as sharp (`measure_sensor`) and as bright (`measure_exposure`) as the tiles.
 
     Args:
         paths: images, or folders of images; sub-folders are not searched.
@@ -106,64 +83,95 @@ def tile_imagery(
         RunFolderError: the disk cannot take it.
     """
     source_settings = source_settings or SourceSettings()
-    files = find_images(paths)
+    tiles: list[BackgroundTile] = []
+    annotations: dict[str, list[Annotation]] = {}
     with SourceReader() as reader:
-        sources = [inspect_source(path, source_settings, reader) for path in files]
+        sources = [inspect_source(path, source_settings, reader) for path in find_images(paths)]
         notes = _notes(sources)
         grids = lay_grids(sources, settings, notes)
-        cells = [cell for grid in grids for cell in cells_of(grid)]
-        cut = _Cut(folder, settings, sources, cells, notes)
+        cells = {cell.id: cell for grid in grids for cell in cells_of(grid)}
         # An impossible time is refused before anything is cut.
         taken = source_settings.taken
-        suns = {cell.id: sun_over(cell, taken) for cell in cells if taken}
-        placed = None if labels is None else PlacedLabels(*labels, sources, cut.cells)
+        suns = {name: sun_over(cell, taken) for name, cell in cells.items() if taken}
+        placed = None if labels is None else PlacedLabels(*labels, sources, [*cells.values()])
         notes += placed.notes if placed is not None else []
-        for done, cell in enumerate(cut.cells, 1):
-            _cut_cell(cut, cell, placed, reader)
+        for done, cell in enumerate(cells.values(), 1):
+            image = read_cell(cell, sources, reader)
+            if image is not None:
+                tile, annotations[cell.id] = _cut_tile(folder, cell, image, sources, placed)
+                tiles.append(tile)
             if progress is not None:
-                progress(done, len(cut.cells))
+                progress(done, len(cells))
     # Too little imagery is refused before anything else is written.
-    _refuse_too_few(len(cut.tiles), settings)
+    _refuse_too_few(len(tiles), settings)
     splits, blocks_m = assign_splits(
-        [*cut.kept.values()], settings.split_shares, generator=generator
+        [cells[tile.id] for tile in tiles], settings.split_shares, generator=generator
     )
-    tiles = _sort_into_splits(cut, splits)
+    notes += [
+        f"{split} is empty: there are not enough tiles; give more imagery or a smaller size"
+        for split in settings.split_shares
+        if split not in splits.values()
+    ]
+    tiles = _sorted_into_splits(folder, tiles, splits)
     if placed is not None:
-        _write_datasets(folder, tiles, cut.annotations, settings.gsd_m)
+        _write_datasets(folder, tiles, annotations, settings.gsd_m)
     sensor = _sensor(folder, tiles, settings.gsd_m, notes)
-    tiles = lit_tiles(folder, tiles, settings.gsd_m, suns, _middles(cut.annotations), notes)
+    middles_px = {
+        name: torch.tensor([row.centre_px for row in rows], dtype=torch.float32).reshape(-1, 2)
+        for name, rows in annotations.items()
+    }
+    tiles = lit_tiles(folder, tiles, settings.gsd_m, suns, middles_px, notes)
     record = TilingRecord(
         settings=_settings_record(settings, source_settings),
         sources=[_describe(source) for source in sources],
         blocks_m=blocks_m,
-        counts=_counts(tiles, cut.annotations),
-        empty=len(cut.cells) - len(tiles),
+        counts=_counts(tiles, annotations),
+        empty=len(cells) - len(tiles),
         notes=notes,
     )
-    write_ground_index(folder, tiles, cut.kept)
+    write_ground_index(folder, tiles, cells)
     write_json(folder / "tiling.json", dataclasses.asdict(record))
     # The index comes last: a folder with one is whole.
     write_index(folder, settings.gsd_m, tiles, sensor)
     return record
 
 
-def _cut_cell(cut: _Cut, cell: Cell, placed: PlacedLabels | None, reader: SourceReader) -> None:
-    """Writes a cell that sources fill as a tile, with its map of drivable ground."""
-    image = read_cell(cell, cut.sources, reader)
-    if image is None:
-        return
+def _cut_tile(
+    folder: Path,
+    cell: Cell,
+    image: CellImage,
+    sources: Sequence[Source],
+    placed: PlacedLabels | None,
+) -> tuple[BackgroundTile, list[Annotation]]:
+    """Writes a cell's picture and map of drivable ground, and finds its labels."""
+    rows: list[Annotation] = []
     vehicles = None
     if placed is not None:
-        rows = cut.annotations[cell.id] = placed.on(cell, image.owner)
+        rows = placed.on(cell, image.owner)
         boxes = [row.box_xyxy for row in rows if not row.ignore]
         vehicles = torch.tensor(boxes, dtype=torch.float32).reshape(-1, 4)
-    tile = _tile(cell, image, cut.sources)
     pixels = torch.from_numpy(image.pixels)
-    save_tile(cut.folder, tile, pixels)
     directions = drivable_directions(pixels, cell.gsd_m, vehicles)
-    drivable = save_map(cut.folder, "drivable", tile.id, directions)
-    cut.tiles.append(dataclasses.replace(tile, drivable=drivable))
-    cut.kept[cell.id] = cell
+    shown = [sources[number] for number in np.unique(image.owner[image.owner >= 0])]
+    # A tile of several small images is named by their folders.
+    small = len(shown) > 1 and all(source.smaller_side_m < cell.side_m for source in shown)
+    names = (source.path.resolve().parent.name if small else source.path.name for source in shown)
+    licences = dict.fromkeys(source.licence for source in shown if source.licence)
+    _, row, column = cell.block
+    tile = BackgroundTile(
+        id=cell.id,
+        file=f"{_WAITING}/{cell.id}.png",
+        # The real split is known when all cells have been read.
+        split=SPLITS[0],
+        width_px=cell.size_px,
+        height_px=cell.size_px,
+        source=" + ".join(dict.fromkeys(names)),
+        offset_px=(column * cell.size_px, row * cell.size_px),
+        licence="; ".join(licences) or None,
+        drivable=save_map(folder, "drivable", cell.id, directions),
+    )
+    save_tile(folder, tile, pixels)
+    return tile, rows
 
 
 def _refuse_too_few(count: int, settings: TilingSettings) -> None:
@@ -188,14 +196,6 @@ def _settings_record(settings: TilingSettings, source: SourceSettings) -> dict[s
     return json.loads(json.dumps(named, default=str))
 
 
-def _middles(annotations: Mapping[str, Sequence[Annotation]]) -> dict[str, torch.Tensor]:
-    """Returns the middles of each tile's labelled objects, `[n, 2]`."""
-    return {
-        name: torch.tensor([row.centre_px for row in rows], dtype=torch.float32).reshape(-1, 2)
-        for name, rows in annotations.items()
-    }
-
-
 def _sensor(
     folder: Path, tiles: Sequence[BackgroundTile], gsd_m: float, notes: list[str]
 ) -> Sensor:
@@ -216,30 +216,6 @@ def _sensor(
     return sensor
 
 
-def _tile(cell: Cell, image: CellImage, sources: Sequence[Source]) -> BackgroundTile:
-    shown = [sources[number] for number in np.unique(image.owner[image.owner >= 0])]
-    _, row, column = cell.block
-    licences = dict.fromkeys(source.licence for source in shown if source.licence)
-    return BackgroundTile(
-        id=cell.id,
-        file=f"{_WAITING}/{cell.id}.png",
-        # The real split is known when all cells have been read.
-        split=SPLITS[0],
-        width_px=cell.size_px,
-        height_px=cell.size_px,
-        source=" + ".join(_names(cell, shown)),
-        offset_px=(column * cell.size_px, row * cell.size_px),
-        licence="; ".join(licences) or None,
-    )
-
-
-def _names(cell: Cell, shown: Sequence[Source]) -> list[str]:
-    """Names the images of a tile, or the folders of several small ones."""
-    small = len(shown) > 1 and all(source.smaller_side_m < cell.side_m for source in shown)
-    names = (source.path.resolve().parent.name if small else source.path.name for source in shown)
-    return list(dict.fromkeys(names))
-
-
 def _notes(sources: Sequence[Source]) -> list[str]:
     """Names the image before each of its notes, or their number if many have the same note."""
     of_note: dict[str, list[str]] = {}
@@ -253,21 +229,18 @@ def _notes(sources: Sequence[Source]) -> list[str]:
     ]
 
 
-def _sort_into_splits(cut: _Cut, splits: Mapping[str, Split]) -> list[BackgroundTile]:
-    """Moves the pictures into the folders of their splits, and notes empty splits."""
+def _sorted_into_splits(
+    folder: Path, tiles: Sequence[BackgroundTile], splits: Mapping[str, Split]
+) -> list[BackgroundTile]:
+    """Moves the pictures into the folders of their splits."""
     for split in SPLITS:
-        (cut.folder / split / "images").mkdir(parents=True, exist_ok=True)
+        (folder / split / "images").mkdir(parents=True, exist_ok=True)
     moved = []
-    for tile in cut.tiles:
+    for tile in tiles:
         file = f"{splits[tile.id]}/images/{tile.id}.png"
-        (cut.folder / tile.file).rename(cut.folder / file)
+        (folder / tile.file).rename(folder / file)
         moved.append(dataclasses.replace(tile, file=file, split=splits[tile.id]))
-    (cut.folder / _WAITING).rmdir()
-    cut.notes += [
-        f"{split} is empty: there are not enough tiles; give more imagery or a smaller size"
-        for split in cut.settings.split_shares
-        if split not in splits.values()
-    ]
+    (folder / _WAITING).rmdir()
     return moved
 
 
@@ -289,12 +262,10 @@ def _write_datasets(
 def _counts(
     tiles: Sequence[BackgroundTile], annotations: Mapping[str, Sequence[Annotation]]
 ) -> dict[str, dict[str, int]]:
-    counts: dict[str, dict[str, int]] = {
-        split: {"tiles": 0, "vehicles": 0, "ignored": 0} for split in SPLITS
-    }
+    counts = {split: {"tiles": 0, "vehicles": 0, "ignored": 0} for split in map(str, SPLITS)}
     for tile in tiles:
         counts[tile.split]["tiles"] += 1
-        for row in annotations.get(tile.id, ()):
+        for row in annotations[tile.id]:
             counts[tile.split]["ignored" if row.ignore else "vehicles"] += 1
     return counts
 
