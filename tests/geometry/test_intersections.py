@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from skyproof.geometry.intersections import self_intersections
-from skyproof.geometry.meshes import enclosed_volume_m3
+from skyproof.geometry.meshes import enclosed_volume_m3, self_intersections
 
 # A cube [0, 1]^3, every side cut along a diagonal, counter-clockwise from outside.
 CORNERS = torch.tensor(list(itertools.product((0.0, 1.0), repeat=3)))

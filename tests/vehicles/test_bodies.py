@@ -5,8 +5,7 @@ import torch
 from torch import Tensor
 
 from skyproof.errors import ConfigurationError
-from skyproof.vehicles.bodies import BODY_RANGES, sample_dimensions
-from skyproof.vehicles.surface import Body, build_body
+from skyproof.vehicles.bodies import BODY_RANGES, Body, build_body, sample_dimensions
 from skyproof.vehicles.template import COLUMNS, RINGS, make_template
 
 TEMPLATE = make_template()

@@ -8,8 +8,8 @@ import torch
 from skyproof.camouflage.random_controls import wear_random_controls
 from skyproof.errors import ConfigurationError
 from skyproof.geometry.colour import srgb_to_cielab
-from skyproof.vehicles.coats import varied_colours
 from skyproof.vehicles.fleet import Fleet, FleetSettings, sample_fleet
+from skyproof.vehicles.paints import varied_colours
 from skyproof.vehicles.settings import CATALOGUE_PAINTS, PaintVariety
 from skyproof.vehicles.vehicle import Part
 

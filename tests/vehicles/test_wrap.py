@@ -15,8 +15,7 @@ from trimesh.visual.material import SimpleMaterial
 
 from skyproof.camouflage.make import make_camouflage
 from skyproof.camouflage.practicality import measure_shape, measure_texture
-from skyproof.geometry.intersections import self_intersections
-from skyproof.geometry.meshes import enclosed_volume_m3
+from skyproof.geometry.meshes import enclosed_volume_m3, self_intersections
 from skyproof.main import run
 from skyproof.render.materials import material_labels
 from skyproof.render.portrait import close_up

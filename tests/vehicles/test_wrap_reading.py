@@ -15,11 +15,10 @@ from skyproof.main import run
 from skyproof.vehicles.vehicle import Part
 from skyproof.vehicles.wrapping.meshes import SourceMesh, find_texture
 from skyproof.vehicles.wrapping.orientation import _spread, orient
-from skyproof.vehicles.wrapping.outer import look_around
 from skyproof.vehicles.wrapping.parts import name_part
 from skyproof.vehicles.wrapping.reading import read_mesh
 from skyproof.vehicles.wrapping.surface import wrap_surface
-from skyproof.vehicles.wrapping.views import parallel_view
+from skyproof.vehicles.wrapping.views import look_around, parallel_view
 from tests.vehicles.model_car import (
     GLASS,
     HEIGHT_M,
@@ -298,12 +297,13 @@ def test_wrong_options_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[s
         assert expected in capsys.readouterr().err
 
 
-def test_inside_out_triangles_are_counted_and_turned() -> None:
+def test_inside_out_triangles_are_counted_and_turned(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("skyproof.vehicles.wrapping.views._PIXEL_M", 0.1)
     box = trimesh.creation.box((4.0, 1.8, 1.5))
     corners = np.asarray(box.vertices)[box.faces]
-    assert look_around(corners, pixel_m=0.1).inverted == 0
+    assert look_around(corners).inverted == 0
     corners[:3] = corners[:3, ::-1]
-    seen = look_around(corners, pixel_m=0.1)
+    seen = look_around(corners)
     assert (seen.inverted, seen.seen) == (3, 12)
     assert ((seen.points * seen.normals).sum(1) > 0).all()  # outward, however they are wound
 

@@ -17,8 +17,7 @@ from skyproof.camouflage.combination import Combination
 from skyproof.camouflage.displacement import DisplacementMap
 from skyproof.camouflage.name import TextureConstraints
 from skyproof.camouflage.texture import UniversalTexture
-from skyproof.geometry.intersections import self_intersections
-from skyproof.geometry.meshes import enclosed_volume_m3
+from skyproof.geometry.meshes import enclosed_volume_m3, self_intersections
 from skyproof.vehicles.texels import texel_metric, texel_regions
 from skyproof.vehicles.vehicle import TEXTURE_SIZE, Part, VehicleBatch
 

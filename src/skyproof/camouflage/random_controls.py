@@ -10,8 +10,8 @@ from skyproof.camouflage.make import make_camouflage
 from skyproof.camouflage.name import CamouflageName, TextureConstraints
 from skyproof.camouflage.settings import CamouflageSettings
 from skyproof.geometry.colour import cielab_to_srgb, srgb_to_cielab
-from skyproof.vehicles.coats import varied_colours
 from skyproof.vehicles.fleet import Fleet
+from skyproof.vehicles.paints import varied_colours
 
 # Colours of the ground over glass and wheels hide most: twice as many vehicles wear them.
 _TEXTURES = tuple(

@@ -18,9 +18,8 @@ from skyproof.generator.fleet import LearntVehicle
 from skyproof.generator.maps import MAP_PX, unfolded
 from skyproof.geometry.colour import cielab_to_srgb, srgb_to_cielab
 from skyproof.randomness import generator_of
-from skyproof.vehicles.bodies import BODY_RANGES, BodyDimensions
+from skyproof.vehicles.bodies import BODY_RANGES, BodyDimensions, build_body
 from skyproof.vehicles.painting import paint_vehicle
-from skyproof.vehicles.surface import build_body
 from skyproof.vehicles.vehicle import TEXTURE_SIZE
 
 _COMPONENTS = 24

@@ -11,9 +11,8 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from skyproof.randomness import generator_of
-from skyproof.vehicles.bodies import BodyDimensions, sample_dimensions
+from skyproof.vehicles.bodies import BodyDimensions, build_body, sample_dimensions
 from skyproof.vehicles.painting import paint_vehicle
-from skyproof.vehicles.surface import build_body
 
 _BLACK, _WHITE = torch.zeros(3), torch.ones(3)
 

@@ -90,7 +90,7 @@ def _views(
     pixel = length * 1.12 / _WIDTH_PX
     pictures = []
     for azimuth, elevation in _VIEWS:
-        axes = view_axes(np.radians(azimuth), np.radians(elevation))
+        axes = view_axes(azimuth, elevation)
         corner = (axes @ middle)[:2] - pixel * np.array([_WIDTH_PX, _HEIGHT_PX]) / 2
         seen = parallel_view(corners @ axes.T, corner, pixel, (_HEIGHT_PX, _WIDTH_PX))
         hit = seen.face >= 0

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
-from skyproof.vehicles.surface import Body
+from skyproof.vehicles.bodies import Body
 from skyproof.vehicles.template import COLUMNS, RINGS, TOPOLOGY_BELT, TOPOLOGY_SILL, column_u, row_v
 from skyproof.vehicles.vehicle import TEXTURE_SIZE, Part
 
@@ -42,9 +42,8 @@ class TextureCanvas:
         """Returns the underside's texels; on the two end faces its columns run up to the poles."""
         ring = torch.arange(TEXTURE_SIZE)[:, None] / TEXTURE_SIZE * (RINGS + 1)
         end_face = (ring < 3) | (ring > RINGS - 2)
-        return (self.column <= TOPOLOGY_SILL) & ~(
-            end_face & (self.z > self.body.dimensions.clearance + 0.12)
-        )
+        high = self.z > self.body.dimensions.clearance + 0.12
+        return (self.column <= TOPOLOGY_SILL) & ~(end_face & high)
 
     @property
     def side(self) -> Tensor:
@@ -68,18 +67,13 @@ def _texel_weights() -> tuple[Tensor, Tensor, Tensor]:
         right = torch.searchsorted(knots, at).clamp(1, len(knots) - 1)
         share = (at - knots[right - 1]) / (knots[right] - knots[right - 1])
         out = torch.zeros(len(at), len(knots))
-        out.scatter_(1, (right - 1)[:, None], (1 - share)[:, None]).scatter_(
-            1, right[:, None], share[:, None]
-        )
-        return out
+        out.scatter_(1, (right - 1)[:, None], (1 - share)[:, None])
+        return out.scatter_(1, right[:, None], share[:, None])
 
     half = COLUMNS // 2
+    rows = weights(centre, row_v(torch.float32))
     columns = weights(centre[: TEXTURE_SIZE // 2], column_u(torch.float32)[: half + 1])
-    return (
-        weights(centre, row_v(torch.float32)),
-        columns.T.contiguous(),
-        columns @ torch.arange(half + 1.0),
-    )
+    return rows, columns.T.contiguous(), columns @ torch.arange(half + 1.0)
 
 
 def open_canvas(body: Body, paint: Tensor) -> TextureCanvas:

@@ -19,11 +19,10 @@ from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import finished_folder, write_json
 from skyproof.ranges import Fraction, Name, WholeNumber, check_ranges
 from skyproof.storage import read_tensors, write_tensors
-from skyproof.vehicles.bodies import BODY_RANGES, sample_dimensions
-from skyproof.vehicles.coats import Coat
+from skyproof.vehicles.bodies import BODY_RANGES, build_body, sample_dimensions
 from skyproof.vehicles.painting import paint_vehicle
+from skyproof.vehicles.paints import Coat
 from skyproof.vehicles.settings import CATALOGUE_PAINTS, PaintVariety, VehicleCount
-from skyproof.vehicles.surface import build_body
 from skyproof.vehicles.template import make_template
 from skyproof.vehicles.vehicle import TEXTURE_SIZE, Part, Template, VehicleBatch
 
@@ -31,18 +30,9 @@ _FORMAT_VERSION = 1
 _USUAL: Coat = "catalogue"
 _REMEDY = "copy the whole folder again, or make the fleet again"
 _LARGEST_M = 100.0
-
-
-def _default_weights() -> dict[str, float]:
-    # Our choice, no statistic: mostly passenger cars, one pickup or van in seven.
-    return {
-        "saloon": 0.18,
-        "hatchback": 0.28,
-        "estate": 0.14,
-        "suv": 0.26,
-        "pickup": 0.04,
-        "van": 0.10,
-    }
+# Our choice, no statistic: mostly passenger cars, one pickup or van in seven.
+_CAR_WEIGHTS = {"saloon": 0.18, "hatchback": 0.28, "estate": 0.14, "suv": 0.26}
+_WEIGHTS = {**_CAR_WEIGHTS, "pickup": 0.04, "van": 0.10}
 
 
 @dataclass(frozen=True)
@@ -59,9 +49,7 @@ class FleetSettings:
     """
 
     count: VehicleCount = 60
-    weights: dict[str, Annotated[float, Meta(ge=0, le=1e6)]] = field(
-        default_factory=_default_weights
-    )
+    weights: dict[str, Annotated[float, Meta(ge=0, le=1e6)]] = field(default_factory=_WEIGHTS.copy)
     first_number: WholeNumber = 0
     paints: PaintVariety = CATALOGUE_PAINTS
     shapes: Fraction = 0.0
@@ -165,21 +153,16 @@ class Fleet:
             StoredFileError: the folder is missing, damaged or of another format version.
         """
         folder = Path(folder)
-        description: _StoredFleet = read_document(
+        stored: _StoredFleet = read_document(
             folder / "fleet.json", _StoredFleet, _REMEDY, version=_FORMAT_VERSION
         )
         path = folder / "fleet.safetensors"
         tensors, _ = read_tensors(path, _REMEDY)
         template = make_template()
-        _check_tensors(path, tensors, len(description.ids), len(template.mirror))
+        _check_tensors(path, tensors, len(stored.ids), len(template.mirror))
+        vertices, textures, parts = (tensors[name] for name in ("vertices", "textures", "parts"))
         return Fleet(
-            description.settings,
-            template,
-            description.ids,
-            tensors["vertices"],
-            tensors["textures"],
-            tensors["parts"],
-            description.sources,
+            stored.settings, template, stored.ids, vertices, textures, parts, stored.sources
         )
 
     def _row(self, vehicle_id: str) -> int:
@@ -232,35 +215,23 @@ def sample_fleet(
     coats = _coats(settings, generator)
     types = list(settings.weights)
     weights = torch.tensor([settings.weights[name] for name in types], dtype=torch.float64)
-    chosen = torch.multinomial(
-        weights, settings.count, replacement=True, generator=generator
-    ).tolist()
-    ids, vertices, textures, parts = [], [], [], []
-    for number, (choice, coat) in enumerate(
-        zip(chosen, coats, strict=True), start=settings.first_number
-    ):
+    drawn_types = torch.multinomial(weights, settings.count, True, generator=generator)
+    chosen = drawn_types.tolist()
+    ids = [f"{types[choice]}-{n:04d}" for n, choice in enumerate(chosen, settings.first_number)]
+    drawn = []
+    for choice, coat in zip(chosen, coats, strict=True):
         body = build_body(sample_dimensions(types[choice], generator=generator))
-        texture, labels = paint_vehicle(body, types[choice], coat, generator=generator)
-        ids.append(f"{types[choice]}-{number:04d}")
-        vertices.append(body.vertices)
-        textures.append(texture)
-        parts.append(labels)
+        maps = paint_vehicle(body, types[choice], coat, generator=generator)
+        drawn.append((body.vertices, *maps))
         if progress is not None:
-            progress(len(ids), settings.count)
+            progress(len(drawn), settings.count)
     sources: dict[str, dict[str, str]] = {
         name: {"coat": coat} for name, coat in zip(ids, coats, strict=True) if coat != _USUAL
     }
     for index in exact_share(settings.shapes, settings.count, generator):
         sources.setdefault(ids[index], {})["shape"] = "random"
-    return Fleet(
-        settings,
-        make_template(),
-        tuple(ids),
-        torch.stack(vertices),
-        torch.stack(textures),
-        torch.stack(parts),
-        sources,
-    )
+    vertices, textures, parts = (torch.stack(each) for each in zip(*drawn, strict=True))
+    return Fleet(settings, make_template(), tuple(ids), vertices, textures, parts, sources)
 
 
 def _coats(settings: FleetSettings, generator: torch.Generator) -> list[Coat]:
@@ -303,12 +274,9 @@ def mix_fleets(fleets: Sequence[Fleet]) -> Fleet:
             f"{len(twice)} vehicle ids occur more than once, the first is {twice[0]}; give fleets "
             "whose numbers differ (first_number of FleetSettings and WrapSettings)."
         )
-    return Fleet(
-        None,
-        fleets[0].template,
-        ids,
-        torch.cat([fleet.vertices for fleet in fleets]),
-        torch.cat([fleet.textures for fleet in fleets]),
-        torch.cat([fleet.parts for fleet in fleets]),
-        {name: source for fleet in fleets for name, source in fleet.sources.items()},
+    vertices, textures, parts = (
+        torch.cat([getattr(fleet, name) for fleet in fleets])
+        for name in ("vertices", "textures", "parts")
     )
+    sources = {name: source for fleet in fleets for name, source in fleet.sources.items()}
+    return Fleet(None, fleets[0].template, ids, vertices, textures, parts, sources)

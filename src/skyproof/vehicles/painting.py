@@ -4,10 +4,9 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from skyproof.vehicles.canvas import TextureCanvas, between, open_canvas
-from skyproof.vehicles.coats import Coat, lay_coat
-from skyproof.vehicles.paints import sample_paint
-from skyproof.vehicles.surface import Body
+from skyproof.vehicles.bodies import Body
+from skyproof.vehicles.canvas import Colour, TextureCanvas, between, open_canvas
+from skyproof.vehicles.paints import Coat, lay_coat, sample_paint
 from skyproof.vehicles.template import TOPOLOGY_BELT
 from skyproof.vehicles.vehicle import TEXTURE_SIZE, Part
 
@@ -51,8 +50,8 @@ def paint_vehicle(
     _paint_seams(canvas, body_type)
     _paint_lower_body(canvas, body_type, chance[0])
     _paint_ends(canvas, body_type, paint, chance[1])
-    drawn_glass = torch.tensor(GLASS_SRGB) * (0.75 + 0.7 * chance[2])
-    glass = drawn_glass if glass is None else glass
+    if glass is None:
+        glass = torch.tensor(GLASS_SRGB) * (0.75 + 0.7 * chance[2])
     _paint_glass(canvas, body_type, glass, panel_van=chance[3] < 0.7)
     _paint_roof(canvas, body_type, glass, chance[4:9])
     if body.dimensions.bed_depth:
@@ -61,11 +60,10 @@ def paint_vehicle(
         # Neither a pane nor a wheel may be what tells a vehicle from a thing of its colour.
         canvas.colour.copy_(paint.view(3, 1, 1).expand_as(canvas.colour))
 
-    texture = torch.cat([canvas.colour, canvas.colour.flip(-1)], dim=-1)
-    texture = _dirty(
-        texture, torch.cat([canvas.z, canvas.z.flip(-1)], dim=-1), chance[10], generator=generator
+    texture, z, parts = (
+        torch.cat([half, half.flip(-1)], dim=-1) for half in (canvas.colour, canvas.z, canvas.parts)
     )
-    parts = torch.cat([canvas.parts, canvas.parts.flip(-1)], dim=-1)
+    texture = _dirty(texture, z, chance[10], generator=generator)
     return (texture.clamp(0.0, 1.0) * 255).round().to(torch.uint8), parts
 
 
@@ -99,9 +97,7 @@ def _paint_seams(c: TextureCanvas, body_type: str) -> None:
         c.shade(lid & (c.y < c.rail_y - 0.12) & between(c.station - deck, -0.02, -0.004), _SEAM)
     if body_type == "van":
         # Roof corrugations and the sliding door's rail.
-        roof = (
-            c.upper & (c.column > 11.3) & (c.station > front + 0.1) & (c.station < d.length - 0.2)
-        )
+        roof = c.upper & (c.column > 11.3) & between(c.station, front + 0.1, d.length - 0.2)
         c.shade(roof & (((c.y / 0.17) % 1.0) < 0.2), 0.92)
         where = c.upper & (c.column < 9) & (c.station > back) & between(c.z - c.belt, 0.03, 0.05)
         c.shade(where, 0.6)
@@ -126,7 +122,7 @@ def _paint_lower_body(c: TextureCanvas, body_type: str, chance: float) -> None:
         c.fill(c.side & (from_hub < 0.66 * radius) & spokes, (0.50, 0.51, 0.52), Part.WHEEL)
 
 
-def _paint_ends(c: TextureCanvas, body_type: str, paint: Tensor, chance: float) -> None:
+def _paint_ends(c: TextureCanvas, body_type: str, paint: Colour, chance: float) -> None:
     """Paints bumpers, grille, lights and number plates."""
     d = c.body.dimensions
     half = d.width / 2
@@ -134,9 +130,9 @@ def _paint_ends(c: TextureCanvas, body_type: str, paint: Tensor, chance: float) 
     nose, tail = above_floor & (c.behind < 0.46), above_floor & (c.ahead < 0.36)
     low = d.clearance + 0.16
     plain_van = body_type == "van" and chance < 0.6
-    bumper = torch.tensor((0.13, 0.13, 0.135)) if plain_van else paint
+    bumper = (0.13, 0.13, 0.135) if plain_van else paint
     if body_type == "pickup":
-        bumper = torch.tensor(_CHROME)
+        bumper = _CHROME
     bumper_z = 0.74 * d.nose_height
     bonnet = c.column > TOPOLOGY_BELT + 2
     c.fill(nose & (c.z < bumper_z), bumper, Part.BUMPER)
@@ -161,10 +157,8 @@ def _paint_ends(c: TextureCanvas, body_type: str, paint: Tensor, chance: float) 
     high = d.deck_height - (0.04 if body_type != "van" else 0.55)
     across = 0.76 if tall else 0.50
     height = {"saloon": 0.17, "pickup": 0.40, "van": 0.42}.get(body_type, 0.30)
-    tail_lamp = (
-        above_floor & (c.y > across * half) & between(c.z, high - height, high) & (c.ahead < 0.26)
-    )
-    c.fill(tail_lamp, _TAIL_LAMP, Part.LIGHT)
+    where = above_floor & (c.y > across * half) & between(c.z, high - height, high)
+    c.fill(where & (c.ahead < 0.26), _TAIL_LAMP, Part.LIGHT)
     rear_face = tail & (c.ahead < 0.14)
     plate_z = 0.66 if body_type in ("saloon", "suv", "estate", "hatchback") else 0.48
     c.fill(rear_face & (c.y < 0.26) & between(c.z, plate_z, plate_z + 0.11), _PLATE, Part.TRIM)
@@ -185,15 +179,10 @@ def _paint_glass(c: TextureCanvas, body_type: str, glass: Tensor, *, panel_van: 
     # Side windows: between shoulder and roof rail, the slope of windscreen and rear window bounding
     # them.
     above_belt = c.upper & (c.column < 13) & (c.z > c.belt + 0.03) & (c.y > c.rail_y - 0.01)
-    end = {
-        "saloon": rear + 0.20,
-        "hatchback": rear + 0.08,
-        "van": d.length - 0.35,
-        "pickup": rear - 0.10,
-    }
-    last = end.get(body_type, rear - 0.02)
-    if body_type == "van" and panel_van:
-        last = middle + 0.25
+    beyond_roof = {"saloon": 0.20, "hatchback": 0.08, "pickup": -0.10}.get(body_type, -0.02)
+    last = rear + beyond_roof
+    if body_type == "van":
+        last = middle + 0.25 if panel_van else d.length - 0.35
     window_top = torch.minimum(c.rail_z - 0.065, c.belt + 0.62)
     window = above_belt & (c.z < window_top) & between(c.station, foot + 0.22, last)
     where = above_belt & (c.z < window_top + 0.018) & between(c.station, foot + 0.2, last + 0.02)
@@ -205,23 +194,15 @@ def _paint_glass(c: TextureCanvas, body_type: str, glass: Tensor, *, panel_van: 
 
     if body_type == "van":
         face = (c.ahead < 0.25) & ~c.floor
-        pane = (
-            face
-            & between(c.z, c.belt + 0.05, d.belt_height + 0.55)
-            & between(c.y, 0.12, c.rail_y - 0.12)
-        )
         c.shade(face & (c.y < 0.012) & between(c.z, 0.6, d.height - 0.12), _SEAM)
         if not panel_van:
-            c.fill(pane, glass, Part.GLASS)
+            pane = face & between(c.z, c.belt + 0.05, d.belt_height + 0.55)
+            c.fill(pane & between(c.y, 0.12, c.rail_y - 0.12), glass, Part.GLASS)
         return
     deck = d.length - d.deck_length
     bottom = d.deck_height + (0.06 if body_type == "pickup" else 0.03)
-    pane = (
-        inside
-        & (c.y < c.rail_y - 0.05)
-        & between(c.station, rear + 0.03, deck + 0.01)
-        & (c.z > bottom)
-    )
+    pane = inside & (c.y < c.rail_y - 0.05) & between(c.station, rear + 0.03, deck + 0.01)
+    pane &= c.z > bottom
     c.fill(pane, _BLACK, Part.GLASS)
     c.fill(pane & (c.y < c.rail_y - 0.08) & (c.station > rear + 0.07), glass * 0.92, Part.GLASS)
 
@@ -231,20 +212,16 @@ def _paint_roof(c: TextureCanvas, body_type: str, glass: Tensor, chance: list[fl
     front, _, _, rear = _layout(c.body)
     roof = c.upper & (c.y < c.rail_y) & between(c.station, front, rear)
     if body_type in ("hatchback", "suv") and chance[0] < 0.08:
-        contrast = torch.tensor((0.07, 0.07, 0.075))
         where = c.upper & (c.z > c.rail_z - 0.03) & between(c.station, front - 0.03, rear + 0.05)
-        c.fill(where, contrast, Part.BODY)
+        c.fill(where, (0.07, 0.07, 0.075), Part.BODY)
     if body_type in ("estate", "suv") and chance[1] < 0.65:
         rail = _BLACK if chance[2] < 0.55 else _CHROME
         stretch = between(c.station, front + 0.12, rear - 0.05)
         c.fill(roof & stretch & between(c.y - (c.rail_y - 0.07), -0.022, 0.022), rail, Part.TRIM)
     if body_type not in ("van", "pickup") and chance[3] < 0.22:
         length = 0.45 if chance[4] < 0.6 else min(rear - front - 0.45, 1.10)
-        pane = (
-            roof
-            & (c.y < min(0.38, float(c.body.rail_y[15]) - 0.14))
-            & between(c.station - front, 0.14, 0.14 + length)
-        )
+        pane = roof & (c.y < min(0.38, float(c.body.rail_y[15]) - 0.14))
+        pane &= between(c.station - front, 0.14, 0.14 + length)
         c.fill(pane, glass * 0.8, Part.GLASS)
     if body_type != "van":
         where = roof & (c.y < 0.028) & between(c.station, rear - 0.22, rear - 0.06)
@@ -266,11 +243,8 @@ def _paint_bed(c: TextureCanvas, colour: Tensor) -> None:
 
 def _dirty(texture: Tensor, z: Tensor, amount: float, *, generator: torch.Generator) -> Tensor:
     """Lays road dust on the lower body and a faint unevenness everywhere."""
-    noise = torch.randn(1, 1, 34, 34, generator=generator)
-    noise = torch.nn.functional.interpolate(
-        noise, size=(TEXTURE_SIZE, TEXTURE_SIZE), mode="bicubic"
-    )[0]
-    share = (
-        0.30 * amount**2 * (1 - z / 0.9).clamp(0.0) * (1 + 0.5 * noise) + 0.012 * noise.abs()
-    ).clamp(0.0, 0.5)
+    coarse = torch.randn(1, 1, 34, 34, generator=generator)
+    (noise,) = torch.nn.functional.interpolate(coarse, size=TEXTURE_SIZE, mode="bicubic")
+    dust = 0.30 * amount**2 * (1 - z / 0.9).clamp(0.0) * (1 + 0.5 * noise)
+    share = (dust + 0.012 * noise.abs()).clamp(0.0, 0.5)
     return texture + share * (torch.tensor([0.42, 0.38, 0.32]).view(3, 1, 1) - texture)

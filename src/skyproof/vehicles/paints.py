@@ -1,11 +1,28 @@
-"""Draws the colour of a vehicle's paint: published frequencies and a little variation."""
+"""Vehicles' paints at published frequencies, and coats that few real vehicles wear.
+
+A detector trained on catalogue paints alone takes colour for evidence. The coats prevent that: any
+plain colour, two tones, a livery.
+"""
+
+from typing import Literal
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-DARKEST, LIGHTEST = 0.03, 0.97
-"""Nothing paints blacker or whiter, sRGB."""
+from skyproof.geometry.colour import cielab_to_srgb, srgb_to_cielab
+from skyproof.vehicles.canvas import TextureCanvas, between
+from skyproof.vehicles.vehicle import Part
+
+Coat = Literal["catalogue", "plain", "two_tone", "livery", "patterned"]
+"""How a vehicle is painted: "catalogue" as real ones are; "patterned" in a random pattern that
+`skyproof.camouflage.random_controls` lays over a catalogue paint."""
+
+_DARKEST, _LIGHTEST = 0.03, 0.97  # nothing paints blacker or whiter, sRGB
+_HUES = torch.tensor([[-87.0, 99.0], [-108.0, 95.0]])  # sRGB's a* and b* lie within
+_CANDIDATES = 64
+# CIELAB lightness of a pair of a dark and a light tone.
+_DARK_BELOW, _LIGHT_ABOVE = 25.0, 80.0
 
 # Axalta Global Automotive Color Popularity Report 2022 (press release of 15 December 2022), share
 # of cars built worldwide: white 34 %, black 21, grey 19, blue 8, red 5, green 1; "white, black,
@@ -42,13 +59,116 @@ def sample_paint(body_type: str, *, generator: torch.Generator) -> tuple[str, Fl
     """Draws a colour name and its sRGB in [0, 1]."""
     draws = torch.rand(3, generator=generator)
     shares = torch.tensor(list(PAINT_SHARES.values()))
-    name = list(PAINT_SHARES)[
-        min(int((draws[0] * shares.sum() > shares.cumsum(0)).sum()), len(shares) - 1)
-    ]
+    drawn = int((draws[0] * shares.sum() > shares.cumsum(0)).sum())
+    name = list(PAINT_SHARES)[min(drawn, len(shares) - 1)]
     if body_type == "van" and float(draws[1]) < _WHITE_VANS:
         name = "white"
     tones = PAINT_TONES[name]
     tone = torch.tensor(tones[min(int(draws[2] * len(tones)), len(tones) - 1)])
     lightness = 1 + 0.08 * torch.randn(1, generator=generator)
     tint = 0.006 * torch.randn(3, generator=generator)
-    return name, (tone * lightness + tint).clamp(DARKEST, LIGHTEST)
+    return name, (tone * lightness + tint).clamp(_DARKEST, _LIGHTEST)
+
+
+def varied_colours(
+    count: int, *, muted: float = 0.5, generator: torch.Generator
+) -> Float[Tensor, "count 3"]:
+    """Draws sRGB colours in [0.03, 0.97] of all kinds, a part of them `muted`, as primer and dust
+    are.
+
+    Hardly a hundredth of CIELAB is nearly grey, and detectors trained on it alone lost vehicles in
+    one grey or beige (docs/results/detectors). Muted colours keep a part u ** 2 of their chroma, u
+    uniform, and are uniform in lightness.
+    """
+    cielab = srgb_to_cielab(_uniform_colours(count, generator=generator))
+    chance, kept, lightness = torch.rand(3, count, 1, generator=generator)
+    cielab[:, 1:] *= torch.where(chance < muted, kept**2, 1.0)
+    cielab[:, :1] = torch.where(chance < muted, 100 * lightness, cielab[:, :1])
+    return cielab_to_srgb(cielab).clamp(_DARKEST, _LIGHTEST)
+
+
+def _uniform_colours(count: int, *, generator: torch.Generator) -> Float[Tensor, "count 3"]:
+    """Draws colours uniformly from the part of CIELAB that sRGB can show."""
+    found = torch.zeros(0, 3)
+    while len(found) < count:
+        draws = torch.rand(_CANDIDATES, 3, generator=generator)
+        low, high = _HUES.T
+        cielab = torch.cat([100 * draws[:, :1], low + (high - low) * draws[:, 1:]], dim=1)
+        srgb = cielab_to_srgb(cielab)
+        # What sRGB cannot show was clipped, and does not come back.
+        shown = (srgb_to_cielab(srgb) - cielab).abs().amax(1) < 0.5
+        found = torch.cat([found, srgb[shown]])
+    return found[:count].clamp(_DARKEST, _LIGHTEST)
+
+
+def lay_coat(
+    canvas: TextureCanvas, coat: Coat, *, generator: torch.Generator
+) -> Float[Tensor, " 3"]:
+    """Paints a canvas plain, in two tones or in a livery; returns the sRGB of the bumpers."""
+    if coat == "two_tone":
+        return _two_tones(canvas, generator)
+    (colour,) = varied_colours(1, generator=generator)
+    canvas.fill(torch.ones_like(canvas.z, dtype=torch.bool), colour, Part.BODY)
+    if coat == "livery":
+        _livery(canvas, generator)
+    return colour
+
+
+def _two_tones(canvas: TextureCanvas, generator: torch.Generator) -> Tensor:
+    """Paints the roof, all that is seen from above, or the lower half in a second colour."""
+    first, second = _pair(generator)
+    kind = int(torch.randint(4, (1,), generator=generator))
+    where = canvas.upper.expand_as(canvas.z)
+    if kind == 0:
+        where = where & (canvas.z > canvas.rail_z - 0.05)
+    elif kind == 1:
+        where = canvas.z < 0.5 * canvas.body.dimensions.height
+    canvas.fill(torch.ones_like(where), first, Part.BODY)
+    canvas.fill(where, second, Part.BODY)
+    return first
+
+
+def _pair(generator: torch.Generator) -> Float[Tensor, "2 3"]:
+    """Draws two colours; two pairs in three are a dark and a light one, mostly the second dark."""
+    colours = varied_colours(2, generator=generator)
+    contrast, swap, *parts = torch.rand(4, generator=generator).tolist()
+    if contrast < 1 / 3:
+        return colours
+    cielab = srgb_to_cielab(colours)
+    lightness = [_DARK_BELOW * parts[0], 100 - (100 - _LIGHT_ABOVE) * parts[1]]
+    cielab[:, 0] = torch.tensor(lightness[::-1] if swap < 0.75 else lightness)
+    return cielab_to_srgb(cielab).clamp(_DARKEST, _LIGHTEST)
+
+
+def _livery(canvas: TextureCanvas, generator: torch.Generator) -> None:
+    """One to four signs of a fleet: stripes along, bands across, chequers, panels."""
+    dimensions = canvas.body.dimensions
+    count = 1 + int(torch.randint(4, (1,), generator=generator))
+    for colour in varied_colours(count, generator=generator):
+        kind = int(torch.randint(5, (1,), generator=generator))
+        place, width, other = torch.rand(3, generator=generator).tolist()
+        along = place * dimensions.length
+        if kind == 0:
+            # A stripe along the sides.
+            middle = dimensions.clearance + place * (dimensions.height - dimensions.clearance)
+            half = 0.04 + 0.2 * width
+            where = between(canvas.z - middle, -half, half)
+        elif kind == 1:
+            # Stripes along bonnet, roof and boot.
+            middle = place * 0.7 * dimensions.width / 2
+            half = 0.05 + 0.2 * width
+            where = canvas.upper & between(canvas.y - middle, -half, half)
+        elif kind == 2:
+            # A band across, leaning as it goes up.
+            lean = (other - 0.5) * 2 * canvas.z
+            half = 0.1 + 0.7 * width
+            where = between(canvas.behind - along + lean, -half, half)
+        elif kind == 3:
+            # Chequers, as rescue vehicles have them.
+            side = 0.25 + 0.45 * width
+            squares = torch.floor(canvas.behind / side) + torch.floor((canvas.z + canvas.y) / side)
+            where = (squares % 2) == 0
+        else:
+            # Everything before or behind a place.
+            where = canvas.behind < along
+        canvas.fill(where.expand_as(canvas.z), colour, Part.BODY)

@@ -86,14 +86,8 @@ def _quads(grid: Int[Tensor, "31 33"]) -> Int[Tensor, "N 3"]:
     falling = [(upper_left, lower_left, lower_right), (upper_left, lower_right, upper_right)]
     rising = [(upper_left, lower_left, upper_right), (upper_right, lower_left, lower_right)]
     half = COLUMNS // 2
-    pairs = [
-        torch.stack(
-            [
-                torch.cat([left[:, :half], right[:, half:]], dim=1)
-                for left, right in zip(a, b, strict=True)
-            ],
-            -1,
-        )
-        for a, b in zip(falling, rising, strict=True)
-    ]
-    return torch.stack(pairs, dim=2).reshape(-1, 3)
+    left, right = (
+        torch.stack([torch.stack(corners, -1) for corners in pair], dim=2)
+        for pair in (falling, rising)
+    )
+    return torch.cat([left[:, :half], right[:, half:]], dim=1).reshape(-1, 3)

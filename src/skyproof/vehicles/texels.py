@@ -1,7 +1,7 @@
 """Says how large a texel is on a vehicle, and which texels are roof, bonnet or sides."""
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from skyproof.vehicles.template import (
@@ -38,22 +38,18 @@ def texel_metric(
     edges = torch.lerp(across[:, :-1, None], across[:, 1:, None], down).flatten(1, 2).norm(dim=-1)
     length_u = edges.float() @ to_texels.float()
 
-    u = column_u()
-    centre = (torch.arange(TEXTURE_SIZE, dtype=torch.float64) + 0.5) / TEXTURE_SIZE
-    column = (torch.searchsorted(u, centre) - 1).clamp(0, COLUMNS - 1)
-    right = ((centre - u[column]) / (u[column + 1] - u[column]))[:, None]
+    column, right = _place_in_cells()
     along = grid.diff(dim=1)
-    spans = torch.lerp(along[:, :, column], along[:, :, column + 1], right).norm(dim=-1) / _ROWS
+    left_side, right_side = along[:, :, column], along[:, :, column + 1]
+    spans = torch.lerp(left_side, right_side, right[:, None]).norm(dim=-1) / _ROWS
     length_v = spans.float().repeat_interleave(_ROWS, dim=1)
 
     share_of_row = torch.full((RINGS + 1, _ROWS), 1 / _ROWS, dtype=torch.float64)
     share_of_row[0] = (2 * torch.arange(_ROWS) + 1) / _ROWS**2
     share_of_row[-1] = share_of_row[0].flip(0)
     cells = _cell_areas(vertices, vehicles)
-    area = (cells[:, :, None] * share_of_row[None, :, :, None]).flatten(
-        1, 2
-    ).float() @ to_texels.float()
-    return length_u, length_v, area
+    rows = (cells[:, :, None] * share_of_row[None, :, :, None]).flatten(1, 2)
+    return length_u, length_v, rows.float() @ to_texels.float()
 
 
 def texel_regions(vehicles: VehicleBatch) -> dict[str, Bool[Tensor, "N 512 512"]]:
@@ -64,8 +60,7 @@ def texel_regions(vehicles: VehicleBatch) -> dict[str, Bool[Tensor, "N 512 512"]
     """
     parts = vehicles.parts.cpu()
     body, glass = parts == Part.BODY, parts == Part.GLASS
-    centre = (torch.arange(TEXTURE_SIZE, dtype=torch.float64) + 0.5) / TEXTURE_SIZE
-    column = (torch.searchsorted(column_u(), centre) - 1).clamp(0, COLUMNS - 1)
+    column, _ = _place_in_cells()
     half_column = torch.minimum(column, COLUMNS - 1 - column)
     first_glass = glass[:, :, TEXTURE_SIZE // 2].int().argmax(1)
     behind = torch.arange(TEXTURE_SIZE)[None] >= first_glass[:, None]
@@ -81,6 +76,14 @@ def texel_regions(vehicles: VehicleBatch) -> dict[str, Bool[Tensor, "N 512 512"]
     }
 
 
+def _place_in_cells() -> tuple[Int[Tensor, " 512"], Float[Tensor, " 512"]]:
+    """The template's column in which the centre of each column of texels lies, and where in it."""
+    u = column_u()
+    centre = (torch.arange(TEXTURE_SIZE, dtype=torch.float64) + 0.5) / TEXTURE_SIZE
+    column = (torch.searchsorted(u, centre) - 1).clamp(0, COLUMNS - 1)
+    return column, (centre - u[column]) / (u[column + 1] - u[column])
+
+
 def _grid(vertices: Float[Tensor, "N V 3"]) -> Float[Tensor, "N 33 33 3"]:
     """Returns nose pole, rings and tail pole, the first column repeated after the last."""
     rings = vertices[:, : RINGS * COLUMNS].unflatten(1, (RINGS, COLUMNS))
@@ -92,14 +95,9 @@ def _grid(vertices: Float[Tensor, "N V 3"]) -> Float[Tensor, "N 33 33 3"]:
 def _cell_areas(
     vertices: Float[Tensor, "N V 3"], vehicles: VehicleBatch
 ) -> Float[Tensor, "N 32 32"]:
-    """The area of each cell's triangles in the order of `make_template`: one at the poles, else
-    two.
-    """
-    corners = vertices[:, vehicles.template.faces.cpu()]
-    normal = torch.linalg.cross(
-        corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0]
-    )
-    triangles = normal.norm(dim=-1) / 2
+    """Each cell's area; its triangles, one at the poles, else two, lie as in `make_template`."""
+    a, b, c = vertices[:, vehicles.template.faces.cpu()].unbind(2)
+    triangles = torch.linalg.cross(b - a, c - a).norm(dim=-1) / 2
     quads = triangles[:, COLUMNS:-COLUMNS].unflatten(1, (RINGS - 1, COLUMNS, 2)).sum(-1)
     return torch.cat([triangles[:, None, :COLUMNS], quads, triangles[:, None, -COLUMNS:]], dim=1)
 
@@ -116,8 +114,7 @@ def _centre_height(vehicles: VehicleBatch) -> Float[Tensor, "N 512"]:
     """Returns the height of the middle of the roof line at each row of the map."""
     half = COLUMNS // 2
     heights = vehicles.vertices[:, half : RINGS * COLUMNS : COLUMNS, 2].cpu()
-    ends = torch.stack([heights[:, 0], heights[:, -1]], dim=1)
-    line = torch.cat([ends[:, :1], heights, ends[:, 1:]], dim=1)
+    line = torch.cat([heights[:, :1], heights, heights[:, -1:]], dim=1)
     return torch.nn.functional.interpolate(
         line[:, None], size=TEXTURE_SIZE, mode="linear", align_corners=True
     )[:, 0]

@@ -46,9 +46,7 @@ class Template:
     vertex_uvs: Float[Tensor, "V 2"]
 
     def to(self, device: torch.device | str) -> Template:
-        """Returns the template on another device, always the same copy: buffers know it by its
-        faces.
-        """
+        """Returns one and the same copy on a device: buffers know it by its faces."""
         return _template_on(self, torch.device(device))
 
 
@@ -118,9 +116,7 @@ class VehicleBatch:
         )
 
     def worn_texture(self) -> Float[Tensor, "T 3 M M"] | UInt8[Tensor, "T 3 M M"]:
-        """Returns the visible textures, the overlay included; `[1, 3, 512, 512]` if they share one
-        map.
-        """
+        """Returns the visible textures, the overlay included."""
         if self.overlay is None:
             return self.texture
         texture = self.texture.float() / 255 if self.texture.dtype == torch.uint8 else self.texture

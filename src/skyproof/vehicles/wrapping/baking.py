@@ -3,8 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-import torch
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Float, Int, UInt8
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
@@ -12,9 +11,8 @@ from skyproof.geometry.meshes import vertex_normals
 from skyproof.vehicles.template import make_template
 from skyproof.vehicles.vehicle import TEXTURE_SIZE
 from skyproof.vehicles.wrapping.meshes import SourceMesh
-from skyproof.vehicles.wrapping.outer import Outer
 from skyproof.vehicles.wrapping.surface import Wrapping
-from skyproof.vehicles.wrapping.views import parallel_view
+from skyproof.vehicles.wrapping.views import Outer, parallel_view
 
 # How many metres apart a point counts that faces the opposite way: two thin walls are not mixed up.
 _TURN_M = 0.15
@@ -24,9 +22,7 @@ _OUTSIDE_M = 0.03
 
 @dataclass(frozen=True)
 class Texels:
-    """The 512 x 512 texels of a wrapped vehicle, with visible face, sRGB, and opacity or paint
-    mask.
-    """
+    """The texels of a wrapped vehicle, with visible face, sRGB, and opacity or paint mask."""
 
     points: Float[np.ndarray, "512 512 3"]
     normals: Float[np.ndarray, "512 512 3"]
@@ -36,7 +32,7 @@ class Texels:
 
 
 def bake(
-    mesh: SourceMesh, outer: Outer, wrapping: Wrapping, mask: UInt8[np.ndarray, "H W"] | None = None
+    mesh: SourceMesh, outer: Outer, wrapping: Wrapping, mask: UInt8[np.ndarray, "H W"] | None
 ) -> Texels:
     """Gives every texel the colour of the nearest outer surface of the mesh that faces alike."""
     points, normals = _texel_places(wrapping)
@@ -73,28 +69,12 @@ def _texel_places(
     uv = template.uvs[template.face_uvs].double().numpy()
     flat = np.concatenate([uv, np.zeros_like(uv[..., :1])], axis=-1)
     seen = parallel_view(flat, np.zeros(2), 1 / TEXTURE_SIZE, (TEXTURE_SIZE, TEXTURE_SIZE))
-    face, weights = seen.face, seen.weights
-    face, weights = _fill(face >= 0, face, weights)
+    # Between the teeth at the two poles is nothing: the nearest texel counts.
+    nearest = distance_transform_edt(seen.face < 0, return_distances=False, return_indices=True)
+    face, weights = (values[tuple(nearest)] for values in seen)
     vertices = wrapping.vertices
     normal = vertex_normals(vertices[None], template.faces)[0]
     corners, corner_normals = (v[template.faces].double().numpy() for v in (vertices, normal))
     points = np.einsum("hwk,hwkc->hwc", weights, corners[face])
     normals = np.einsum("hwk,hwkc->hwc", weights, corner_normals[face])
     return points, normals / np.linalg.norm(normals, axis=-1, keepdims=True).clip(1e-9)
-
-
-def _fill(known: Bool[np.ndarray, "H W"], *maps: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Takes the nearest known texel's values where none are: between the teeth at the two poles."""
-    if known.all():
-        return maps
-    rows, columns = distance_transform_edt(~known, return_distances=False, return_indices=True)
-    return tuple(values[rows, columns] for values in maps)
-
-
-def to_bytes(colour: Float[np.ndarray, "512 512 3"]) -> UInt8[torch.Tensor, "3 512 512"]:
-    """Rounds to bytes, as `Fleet` stores textures."""
-    return (
-        torch.from_numpy((colour.clip(0.0, 1.0) * 255).round().astype(np.uint8))
-        .permute(2, 0, 1)
-        .contiguous()
-    )

@@ -6,20 +6,11 @@ from pathlib import Path
 import numpy as np
 import torch
 from jaxtyping import Float, Int, UInt8
-from PIL import Image
 
-from skyproof.errors import ConfigurationError
 from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
-from skyproof.pictures import decoded
 
-PICTURES = (".png", ".jpg", ".jpeg", ".tga", ".bmp", ".tif", ".tiff", ".webp", ".gif")
-"""How the files of textures end."""
-
-_REMEDY = "give a PNG or JPEG as texture"
-_MOST_TRIANGLES = 5_000_000
-_MOST_NODES = 100_000
-_MOST_TEXELS = 400_000_000
 GREY = (0.6, 0.6, 0.6)
+_PICTURES = (".png", ".jpg", ".jpeg", ".tga", ".bmp", ".tif", ".tiff", ".webp", ".gif")
 _DARK_CABIN = 0.08  # what is seen through a transparent window
 
 
@@ -42,32 +33,6 @@ class Material:
     tint: tuple[float, float, float] | None = None
 
 
-@dataclass
-class Size:
-    """Counts the contents of a mesh file while it is read; a scene may show a part many times."""
-
-    path: Path
-    triangles: int = 0
-    nodes: int = 0
-    texels: int = 0
-
-    def add(self, *, triangles: int = 0, nodes: int = 0, texels: int = 0) -> None:
-        """Counts more, and refuses more than a vehicle needs."""
-        self.triangles += triangles
-        self.nodes += nodes
-        self.texels += texels
-        for count, most, what in (
-            (self.triangles, _MOST_TRIANGLES, "triangles"),
-            (self.nodes, _MOST_NODES, "nodes"),
-            (self.texels, _MOST_TEXELS, "texels in its textures"),
-        ):
-            if count > most:
-                raise ConfigurationError(
-                    f"{self.path} has more than {most:,} {what}, too much for one vehicle; "
-                    "simplify it."
-                )
-
-
 @dataclass(frozen=True)
 class SourceMesh:
     """The triangles of all objects of a file.
@@ -77,7 +42,6 @@ class SourceMesh:
         uvs: `[F, 3, 2]`, v from the bottom of the picture, which repeats outside [0, 1].
         colours: `[F, 3, 3]` sRGB at the corners; NaN if a texture or a material gives the colour.
         up: upward axis of the format, or None.
-        unit_m: metres per unit of the file, or None.
         notes: repairs and assumptions while reading, one sentence each.
     """
 
@@ -87,7 +51,6 @@ class SourceMesh:
     material: Int[np.ndarray, " F"]
     materials: tuple[Material, ...]
     up: str | None = None
-    unit_m: float | None = None
     notes: tuple[str, ...] = ()
 
     def look(
@@ -98,8 +61,7 @@ class SourceMesh:
     ) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, " N"]]:
         """Returns sRGB in [0, 1] of points on triangles, and their pictures' opacity in [0, 1].
 
-        Args:
-            mask: read instead of the pictures' alpha, by the same UVs.
+        A mask is read instead of the pictures' alpha, by the same UVs.
         """
         uv = np.einsum("nk,nkc->nc", weights, self.uvs[face])
         colours = np.einsum("nk,nkc->nc", weights, self.colours[face])
@@ -113,9 +75,8 @@ class SourceMesh:
                 colours[covered] = _tinted(texels[:, :3], material.tint)
                 alpha[covered] = texels[:, 3] if texels.shape[1] == 4 else 1.0
             if material.opacity < 1:
-                colours[covered] = (
-                    material.opacity * colours[covered] + (1 - material.opacity) * _DARK_CABIN
-                )
+                cabin = (1 - material.opacity) * _DARK_CABIN
+                colours[covered] = material.opacity * colours[covered] + cabin
         if mask is not None:
             alpha = _sample(mask[..., None], uv)[:, 0] / 255
         return colours, alpha
@@ -190,11 +151,4 @@ def _is_file_in(path: Path, folders: list[Path]) -> bool:
 
 def is_picture(name: str) -> bool:
     """Says whether a file's name is that of a picture."""
-    return Path(name).suffix.lower() in PICTURES
-
-
-def picture_bytes(image: Image.Image, place: str) -> UInt8[np.ndarray, "H W C"]:
-    """Decodes an open picture, `[H, W, 3]` or with alpha `[H, W, 4]`; errors name `place`."""
-    has_alpha = "A" in image.getbands() or "transparency" in image.info
-    mode = "RGBA" if has_alpha else "RGB"
-    return decoded(image, mode, place, _REMEDY, error=ConfigurationError, also=("TGA", "GIF"))
+    return Path(name).suffix.lower() in _PICTURES

@@ -12,7 +12,7 @@ from skyproof.vehicles.wrapping.meshes import SourceMesh
 AXES = ("x", "y", "z", "-x", "-y", "-z")
 # Lengths, widths and heights of road vehicles from a small car to a coach, with and without
 # mirrors.
-_LENGTH_M, _WIDTH_M, _HEIGHT_M = (2.4, 15.0), (1.2, 3.8), (0.9, 4.5)
+_SMALLEST_M, _LARGEST_M = (2.4, 1.2, 0.9), (15.0, 3.8, 4.5)
 _USUAL_UNITS = (1.0, 0.0254, 0.01, 0.001, 0.1, 0.3048)
 _USUAL_LENGTH_M = 4.5
 _MOST_POINTS = 20_000_000
@@ -32,7 +32,7 @@ def orient(
     the nose.
 
     Args:
-        scale: metres per unit; the default is the file's, else 1.
+        scale: metres per unit; the default is 1.
         up, forward: two of `AXES`; the nose points forward.
 
     Returns:
@@ -53,7 +53,7 @@ def orient(
             f"--wrapping.up {up} and --wrapping.forward {forward} lie along one axis; give two "
             "different ones."
         )
-    unit_m = scale if scale is not None else mesh.unit_m or 1.0
+    unit_m = scale if scale is not None else 1.0
     turned = _turn(mesh.corners, up, forward) * unit_m
     _check_size(np.ptp(turned.reshape(-1, 3), axis=0), unit_m)
     how = "as given"
@@ -112,26 +112,21 @@ def _guess_up(points: Float[np.ndarray, "N 3"]) -> str:
     return "xyz"[shorter[int(np.argmax(misfit))]]
 
 
+def _fits(extent_m: Float[np.ndarray, " 3"]) -> bool:
+    return bool(((extent_m >= _SMALLEST_M) & (extent_m <= _LARGEST_M)).all())
+
+
 def _check_size(extent_m: Float[np.ndarray, " 3"], unit_m: float) -> None:
     """Refuses what is no vehicle, and names a scale that would make it one."""
-    limits = (_LENGTH_M, _WIDTH_M, _HEIGHT_M)
-    if all(low <= size <= high for size, (low, high) in zip(extent_m, limits, strict=True)):
+    if _fits(extent_m):
         return
     size = " x ".join(f"{value:.3g}" for value in extent_m)
-    fitting = [
-        unit
-        for unit in _USUAL_UNITS
-        if all(
-            low <= s * unit / unit_m <= high
-            for s, (low, high) in zip(extent_m, limits, strict=True)
-        )
-    ]
-    if fitting:
-        scale = min(
-            fitting, key=lambda unit: abs(np.log(extent_m[0] * unit / unit_m / _USUAL_LENGTH_M))
-        )
-    else:
-        scale = unit_m * _USUAL_LENGTH_M / extent_m[0]
+    fitting = [unit for unit in _USUAL_UNITS if _fits(extent_m * unit / unit_m)]
+    scale = min(
+        fitting,
+        key=lambda unit: abs(np.log(extent_m[0] * unit / unit_m / _USUAL_LENGTH_M)),
+        default=unit_m * _USUAL_LENGTH_M / extent_m[0],
+    )
     raise ConfigurationError(
         f"The mesh measures {size} m (length, width, height), not a vehicle's size; give "
         f"--wrapping.scale (--wrapping.scale {scale:.4g} would make it "

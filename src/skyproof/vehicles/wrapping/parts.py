@@ -46,10 +46,8 @@ _MODE_PX = 7
 
 def name_part(name: str) -> Part | None:
     """Takes a part from the name of a material or object; None for nothing, mostly paint."""
-    return next(
-        (part for part, pattern in _NAMES if re.search(pattern, name.lower().replace("_", " "))),
-        None,
-    )
+    words = name.lower().replace("_", " ")
+    return next((part for part, pattern in _NAMES if re.search(pattern, words)), None)
 
 
 def label_parts(
@@ -77,21 +75,16 @@ def label_parts(
     Returns:
         Labels, the share of texels that each rule decided, and notes.
     """
-    names = np.array(
-        [int(p) if (p := name_part(m.name)) is not None else -1 for m in mesh.materials]
-    )
-    clear = np.array([m.opacity < 0.5 for m in mesh.materials])
-    material = mesh.material[texels.face]
-    named = np.where(clear[material], int(Part.GLASS), names[material])
-    parts = np.full((TEXTURE_SIZE, TEXTURE_SIZE), int(Part.BODY), np.int64)
+    said = [Part.GLASS if m.opacity < 0.5 else name_part(m.name) for m in mesh.materials]
+    named = np.array([-1 if part is None else part for part in said])[mesh.material[texels.face]]
     x, y, z = np.moveaxis(texels.points, -1, 0)
     decided = named >= 0
-    by_name = float(decided.mean())
 
     notes: list[str] = []
-    paint = texels.alpha >= 0.5 if masked else plain | ~_dark(texels.colour)
+    dark = (texels.colour.max(-1) < _DARK) & (np.ptp(texels.colour, axis=-1) < _GREY)
+    paint = texels.alpha >= 0.5 if masked else plain | ~dark
     open_ = ~decided
-    if not masked and paint[open_].mean() < 0.4:
+    if not masked and open_.any() and paint[open_].mean() < 0.4:
         notes.append(
             "most of the surface is dark: colour does not tell glass from paint, which is left as "
             "paint"
@@ -103,7 +96,7 @@ def label_parts(
     ends = np.minimum(x - x.min(), x.max() - x)
     bright = texels.colour.max(-1) > 0.55
     red = texels.colour[..., 0] - texels.colour[..., 1:].max(-1) > 0.2
-    other = np.full_like(parts, int(Part.TRIM))
+    other = np.full(z.shape, int(Part.TRIM), np.int64)
     at_end = ends < _END_M
     other[at_end & (z < 0.33 * height + 0.12)] = Part.BUMPER
     # Walls of a load bed look inwards.
@@ -115,7 +108,7 @@ def label_parts(
         other[at_end & (z < window_z + 0.15) & (bright | red) & ~plain] = Part.LIGHT
     else:
         paint &= ~_panes(texels.colour, open_ & ~plain, paint & ~floor, at_windows)
-    parts = np.where(paint, parts, other)
+    parts = np.where(paint, int(Part.BODY), other)
 
     # Wheels and underside by place; names overrule colour.
     discs = _wheels(wrapping, x, y, z)
@@ -124,17 +117,17 @@ def label_parts(
     parts = np.where(decided, named, parts)
     floor &= ~((named == int(Part.WHEEL)) & (_column() > 0.8)[None])
     parts[floor] = Part.UNDERSIDE
-    parts = _mode(parts)
-    shares = {
-        "name": by_name,
-        "place": float((~decided & floor).mean()),
-        "paint mask" if masked else "colour": float((~decided & ~floor).mean()),
+    # The most frequent label around each texel, so that specks go.
+    around = [
+        uniform_filter((parts == part).astype(np.float32), _MODE_PX, mode="wrap") for part in Part
+    ]
+    deciding = {
+        "name": decided,
+        "place": ~decided & floor,
+        "paint mask" if masked else "colour": ~decided & ~floor,
     }
-    return parts.astype(np.uint8), {key: round(value, 3) for key, value in shares.items()}, notes
-
-
-def _dark(colour: Float[np.ndarray, "512 512 3"]) -> Bool[np.ndarray, "512 512"]:
-    return (colour.max(-1) < _DARK) & (np.ptp(colour, axis=-1) < _GREY)
+    shares = {rule: round(float(where.mean()), 3) for rule, where in deciding.items()}
+    return np.argmax(around, axis=0).astype(np.uint8), shares, notes
 
 
 def _panes(
@@ -161,9 +154,8 @@ def _panes(
     # Much of what they belong to lies elsewhere, and they go on there along much of their outline.
     inside = np.bincount(whole_of[within], minlength=int(whole_of.max()) + 1)
     spread = (inside < _WITHIN * np.bincount(whole_of.ravel()))[whole_of]
-    goes_on = per_area(binary_dilation(every & ~within)) > _GOES_ON * per_area(
-        ~binary_erosion(within)
-    )
+    outline = per_area(~binary_erosion(within))
+    goes_on = per_area(binary_dilation(every & ~within)) > _GOES_ON * outline
     panes = (per_area(within) >= _LEAST_TEXELS)[area_of] & ~(spread & goes_on[area_of]) & within
     left, right = np.split(panes, 2, axis=1)
     return left | right
@@ -189,10 +181,9 @@ def _wheels(
 ) -> Bool[np.ndarray, "512 512"]:
     """Finds discs on the sides where the lower edge comes down to the ground."""
     hull = wrapping.hull
-    low = hull.low
     at = hull.start[0] + (np.arange(len(hull.low)) + 0.5) * hull.cell
     wheels = np.zeros_like(x, bool)
-    grounded = np.flatnonzero(low < 0.15)
+    grounded = np.flatnonzero(hull.low < 0.15)
     if not len(grounded):
         return wheels
     half = np.abs(y).max()
@@ -204,11 +195,3 @@ def _wheels(
         middle = (at[run[0]] + at[run[-1]]) / 2
         wheels |= side & (np.hypot(x - middle, z - radius) < 1.03 * radius)
     return wheels
-
-
-def _mode(parts: np.ndarray) -> np.ndarray:
-    """Takes the most frequent label around each texel, so that specks go."""
-    counts = np.stack(
-        [uniform_filter((parts == part).astype(np.float32), _MODE_PX, mode="wrap") for part in Part]
-    )
-    return counts.argmax(0)

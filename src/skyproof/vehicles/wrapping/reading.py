@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 import torch
 import trimesh
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Int, UInt8
 from msgspec import Meta
 from PIL import Image
 from trimesh.resolvers import Resolver
@@ -23,19 +23,20 @@ from trimesh.resolvers import Resolver
 from skyproof.documents import parse_document
 from skyproof.errors import ConfigurationError
 from skyproof.geometry.colour import linear_to_srgb
+from skyproof.pictures import decoded
 from skyproof.vehicles.wrapping.meshes import (
     GREY,
     Material,
-    Size,
     SourceMesh,
     find_texture,
     is_picture,
-    picture_bytes,
 )
 
 # What else trimesh opens are archives, documents with programs, and forms without triangles.
 _FORMATS = (".obj", ".glb", ".gltf", ".ply", ".stl", ".off")
 _LARGEST_FILE = 500_000_000
+# A scene may show a part many times.
+_MOST = {"triangles": 5_000_000, "nodes": 100_000, "texels in its textures": 400_000_000}
 _COMPRESSIONS = {"KHR_draco_mesh_compression": "Draco", "EXT_meshopt_compression": "meshopt"}
 
 # Where UVs have no material trimesh makes up a picture; those of files have a format.
@@ -101,14 +102,11 @@ class _Neighbours(Resolver):
         name = key.strip()
         materials = name.lower().endswith(".mtl")
         if path is None or path.stat().st_size > _LARGEST_FILE:
+            lost = f"{name} was not found beside {self.mesh}"
             if materials:
-                self.notes.append(
-                    f"{name} was not found beside {self.mesh}; its materials have no colours."
-                )
+                self.notes.append(f"{lost}; its materials have no colours.")
                 return self._named_materials()
-            self.notes.append(
-                f"texture {name} was not found beside {self.mesh}; a plain colour was taken."
-            )
+            self.notes.append(f"texture {lost}; a plain colour was taken.")
             raise FileNotFoundError(key)
         if path != self.mesh.parent / name:
             self.notes.append(f"{name} was not there; {path} was taken.")
@@ -129,9 +127,8 @@ class _Neighbours(Resolver):
                 Image.open(path).close()
         except Exception:
             # Pillow's readers meet damage with any exception there is.
-            self.notes.append(
-                f"texture {name} cannot be read as a picture; a plain colour was taken."
-            )
+            unread = f"texture {name} cannot be read as a picture"
+            self.notes.append(f"{unread}; a plain colour was taken.")
             raise
 
     def write(self, name: str, data: Any) -> None:
@@ -190,7 +187,7 @@ def _read_with_trimesh(path: Path) -> SourceMesh:
     materials = []
     notes = list(dict.fromkeys(resolver.notes))
     clouds = 0
-    size = Size(path)
+    counts = Counter[str]()
     pictures: dict[int, UInt8[np.ndarray, "H W C"]] = {}
     for node in scene.graph.nodes_geometry:
         transform, name = scene.graph[node]
@@ -198,77 +195,87 @@ def _read_with_trimesh(path: Path) -> SourceMesh:
         if not isinstance(geometry, trimesh.Trimesh):
             clouds += 1
             continue
-        if len(geometry.faces) == 0:
+        count = len(geometry.faces)
+        if count == 0:
             continue
-        size.add(nodes=1, triangles=len(geometry.faces))
-        corners = trimesh.transform_points(geometry.vertices, transform)[geometry.faces]
+        counts.update({"nodes": 1, "triangles": count})
+        _refuse_too_much(path, counts)
         if np.linalg.det(transform[:3, :3]) < 0:
             notes.append(f"{node} is mirrored in the file; its triangles were turned round.")
-        material, uvs, colours = _look_of(geometry, f"{node} {name}", pictures, size, linear=gltf)
+        visual: Any = geometry.visual
+        material, picture = _material_of(visual, f"{node} {name}", linear=gltf)
+        uvs = np.zeros((count, 3, 2))
+        if getattr(visual, "uv", None) is not None:
+            uvs = np.asarray(visual.uv, float)[geometry.faces][..., :2]
+        if picture is not None:
+            if id(picture) not in pictures:
+                pictures[id(picture)] = _picture_bytes(picture, f"A texture of {path}")
+                counts["texels in its textures"] += picture.width * picture.height
+                _refuse_too_much(path, counts)
+            texels = pictures[id(picture)]
+            if gltf and getattr(visual.material, "alphaMode", None) not in ("MASK", "BLEND"):
+                texels = texels[..., :3]
+            material = replace(material, picture=texels)
         materials.append(material)
-        pieces.append((corners, uvs, colours, np.full(len(corners), len(materials) - 1)))
+        corners = trimesh.transform_points(geometry.vertices, transform)[geometry.faces]
+        colours = _corner_colours(visual, geometry.faces, linear=gltf)
+        pieces.append((corners, uvs, colours, np.full(count, len(materials) - 1)))
     if not pieces:
         what = "only points or lines, no triangles" if clouds else "no triangles"
         raise ConfigurationError(f"{path} holds {what}; give a mesh with faces.")
     if len(pieces) > 1:
         notes.append(f"{len(pieces)} objects were joined.")
-    up = "y" if gltf else None
-    unit_m = 1.0 if up else None
-    triangles, uvs, colours, material_of = (
+    corners, uvs, colours, material_of = (
         np.concatenate(parts) for parts in zip(*pieces, strict=True)
     )
-    return SourceMesh(
-        triangles, uvs, colours, material_of, tuple(materials), up, unit_m, tuple(notes)
-    )
+    up = "y" if gltf else None
+    return SourceMesh(corners, uvs, colours, material_of, tuple(materials), up, tuple(notes))
 
 
-def _look_of(
-    geometry: trimesh.Trimesh,
-    name: str,
-    pictures: dict[int, UInt8[np.ndarray, "H W C"]],
-    size: Size,
-    *,
-    linear: bool,
-) -> tuple[Material, Float[np.ndarray, "F 3 2"], Float[np.ndarray, "F 3 3"]]:
-    """Material, UVs and corner colours of one trimesh object; `linear` as in glTF."""
-    count = len(geometry.faces)
-    uvs = np.zeros((count, 3, 2))
-    colours = np.full((count, 3, 3), np.nan)
-    visual: Any = geometry.visual
+def _refuse_too_much(path: Path, counts: Counter[str]) -> None:
+    for what, most in _MOST.items():
+        if counts[what] > most:
+            raise ConfigurationError(
+                f"{path} has more than {most:,} {what}, too much for one vehicle; simplify it."
+            )
+
+
+def _picture_bytes(image: Image.Image, place: str) -> UInt8[np.ndarray, "H W C"]:
+    """Decodes an open picture, `[H, W, 3]` or with alpha `[H, W, 4]`; errors name `place`."""
+    mode = "RGBA" if "A" in image.getbands() or "transparency" in image.info else "RGB"
+    remedy = "give a PNG or JPEG as texture"
+    return decoded(image, mode, place, remedy, error=ConfigurationError, also=("TGA", "GIF"))
+
+
+def _corner_colours(
+    visual: Any, faces: Int[np.ndarray, "F 3"], *, linear: bool
+) -> Float[np.ndarray, "F 3 3"]:
+    """The sRGB of corners from vertices or faces, NaN where the object has a material."""
+    colours = np.full((len(faces), 3, 3), np.nan)
     if visual.kind == "vertex":
-        colours = np.asarray(visual.vertex_colors, float)[geometry.faces][..., :3] / 255
+        colours = np.asarray(visual.vertex_colors, float)[faces][..., :3] / 255
     elif visual.kind == "face":
         colours = np.repeat(np.asarray(visual.face_colors, float)[:, None, :3] / 255, 3, axis=1)
-    if linear:
-        colours = _srgb(colours)
+    return _srgb(colours) if linear else colours
+
+
+def _material_of(visual: Any, name: str, *, linear: bool) -> tuple[Material, Image.Image | None]:
+    """The material of one trimesh object, and its picture if there is one; `linear` as in glTF."""
     material = getattr(visual, "material", None)
     if material is None:
-        return Material(name, plain=visual.kind is None), uvs, colours
-    opened, opacity, colour = _picture_and_colour(material, linear=linear)
-    image = None
-    if getattr(visual, "uv", None) is not None:
-        uvs = np.asarray(visual.uv, float)[geometry.faces][..., :2]
-        if opened is not None:
-            if id(opened) not in pictures:
-                pictures[id(opened)] = picture_bytes(opened, f"A texture of {size.path}")
-                size.add(texels=opened.width * opened.height)
-            image = pictures[id(opened)]
-            if linear and getattr(material, "alphaMode", None) not in ("MASK", "BLEND"):
-                image = image[..., :3]
-    name = f"{name} {material.name or ''}".strip()
-    return (
-        Material(
-            name,
-            colour or GREY,
-            image,
-            opacity,
-            plain=image is None and colour is None,
-            # Of an OBJ most exporters write a colour that is not meant for its texture.
-            tint=colour if linear and image is not None else None,
-        ),
-        uvs,
-        colours,
+        return Material(name, plain=visual.kind is None), None
+    picture, opacity, colour = _picture_and_colour(material, linear=linear)
+    if getattr(visual, "uv", None) is None:
+        picture = None
+    looks = Material(
+        f"{name} {material.name or ''}".strip(),
+        colour or GREY,
+        opacity=opacity,
+        plain=picture is None and colour is None,
+        # Of an OBJ most exporters write a colour that is not meant for its texture.
+        tint=colour if linear and picture is not None else None,
     )
+    return looks, picture
 
 
 def _srgb(linear: Float[np.ndarray, "*S"]) -> Float[np.ndarray, "*S"]:

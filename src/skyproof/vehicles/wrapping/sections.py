@@ -1,7 +1,5 @@
 """Takes a vehicle's hull from six sides, without interior and wheel gaps, and cuts it across."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,14 +50,10 @@ class Hull:
     def snap(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
         """Moves points within a cell of the surface onto it, whichever way is nearer."""
         column = self.index(points[:, 0], 0, self.top.shape[0])
-        top = (
-            _between(self.top[column], (points[:, 1] - self.start[1]) / self.cell - 0.5)
-            - points[:, 2]
-        )
+        _, across, height = ((points - self.start) / self.cell - 0.5).T
+        top = _between(self.top[column], across) - points[:, 2]
         edges = self.sides[(points[:, 1] < 0).astype(np.int64), column]
-        out = _between(edges, (points[:, 2] - self.start[2]) / self.cell - 0.5) - np.abs(
-            points[:, 1]
-        )
+        out = _between(edges, height) - np.abs(points[:, 1])
         up = np.abs(top) <= np.abs(out)
         near = np.minimum(np.abs(top), np.abs(out)) < self.cell
         snapped = points.copy()
@@ -70,11 +64,8 @@ class Hull:
     def inside(self, points: Float[np.ndarray, "N 3"], slack_m: float) -> np.ndarray:
         """Says which points lie inside the outline from above and the sides, to `slack_m`."""
         column = self.index(points[:, 0], 0, self.top.shape[0])
-        edges = self.sides[
-            (points[:, 1] < 0).astype(np.int64),
-            column,
-            self.index(points[:, 2], 2, self.sides.shape[2]),
-        ]
+        height = self.index(points[:, 2], 2, self.sides.shape[2])
+        edges = self.sides[(points[:, 1] < 0).astype(np.int64), column, height]
         ends = np.flatnonzero(np.isfinite(self.top).any(1))[[0, -1]] * self.cell + self.start[0]
         along = (points[:, 0] > ends[0] - slack_m) & (points[:, 0] < ends[1] + self.cell + slack_m)
         return along & (np.abs(points[:, 1]) < edges + slack_m)
@@ -82,9 +73,8 @@ class Hull:
     def face(self, points: Float[np.ndarray, "N 3"], *, nose: bool) -> Float[np.ndarray, " N"]:
         """Returns x of the surface in front of (or behind) points; NaN where nothing is."""
         seen = self.front if nose else self.rear
-        return seen[
-            self.index(points[:, 1], 1, seen.shape[0]), self.index(points[:, 2], 2, seen.shape[1])
-        ]
+        across = self.index(points[:, 1], 1, seen.shape[0])
+        return seen[across, self.index(points[:, 2], 2, seen.shape[1])]
 
 
 def no_body() -> ConfigurationError:
@@ -112,22 +102,25 @@ def find_hull(corners: Float[np.ndarray, "F 3 3"]) -> Hull:
     def look(first: int, second: int, depth: int, sign: float) -> np.ndarray:
         """Returns the largest `sign * depth` over cells of two axes; -inf where nothing is."""
         view = corners[..., [second, first, depth]] * [1.0, 1.0, -sign]
-        seen = parallel_view(
-            view, start[[second, first]], cell, (int(counts[first]), int(counts[second]))
-        )
+        size = (int(counts[first]), int(counts[second]))
+        seen = parallel_view(view, start[[second, first]], cell, size)
         value = np.einsum("xyk,xyk->xy", seen.weights, corners[seen.face][..., depth]) * sign
         return np.where(seen.face >= 0, value, -np.inf)
 
     # From above: outline and roof, without ladders.
     top = look(0, 1, 2, 1.0)
-    footprint = _largest(binary_opening(np.isfinite(top), _disc(_THIN_M / 2 / cell)))
+    radius = int(np.ceil(_THIN_M / 2 / cell))
+    step = np.arange(-radius, radius + 1)
+    disc = step[:, None] ** 2 + step[None] ** 2 <= (_THIN_M / 2 / cell) ** 2
+    footprint = binary_opening(np.isfinite(top), disc)
+    if not footprint.any():
+        raise no_body()
+    pieces, _ = label(footprint)
+    footprint = pieces == 1 + int(np.argmax(np.bincount(pieces.ravel())[1:]))
     # Thin aerials go; a few millimetres of noise may stay.
     top = grey_opening(np.where(footprint, top, -1.0), 3)
     top = grey_closing(top, round(_RUNGS_M / cell), mode="nearest")
     top = np.where(footprint, top, -np.inf)
-
-    if not footprint.any():
-        raise no_body()
 
     # From the sides, without mirrors, and with closed wheel arches.
     y = start[1] + (np.arange(counts[1]) + 0.5) * cell
@@ -141,13 +134,8 @@ def find_hull(corners: Float[np.ndarray, "F 3 3"]) -> Hull:
     for side in sides:
         side[:, upper] = grey_opening(side[:, upper], (round(_THIN_M / cell), 1), mode="constant")
     close = round(_WHEEL_GAP_M / cell)
-    sides = np.stack(
-        [
-            grey_closing(np.minimum(side, r[:, None]), close)
-            for side, r in zip(sides, reach, strict=True)
-        ]
-    )
-    sides = np.minimum(sides, reach[:, :, None])
+    sides = np.stack([grey_closing(side, close) for side in np.minimum(sides, reach[..., None])])
+    sides = np.minimum(sides, reach[..., None])
 
     solid = sides.max(0) > 0.6 * sides.max((0, 2))[:, None]
     low = np.where(solid.any(1), z[solid.argmax(1)] - cell / 2, np.nan).clip(0.0)
@@ -182,20 +170,6 @@ def _between(
     return np.where(np.isfinite(low) & np.isfinite(high), value, np.inf)
 
 
-def _disc(radius: float) -> np.ndarray:
-    reach = int(np.ceil(radius))
-    step = np.arange(-reach, reach + 1)
-    return step[:, None] ** 2 + step[None] ** 2 <= radius**2
-
-
-def _largest(mask: np.ndarray) -> np.ndarray:
-    """Returns the largest connected piece."""
-    pieces, count = label(mask)
-    if count < 2:
-        return mask
-    return pieces == 1 + int(np.argmax(np.bincount(pieces.ravel())[1:]))
-
-
 @dataclass(frozen=True)
 class Sections:
     """Outlines of the hull in planes across the long axis, around a point in y = 0.
@@ -218,10 +192,6 @@ class Sections:
         direction = _directions()
         return self.radius * direction[:, 0], self.axis_z[:, None] + self.radius * direction[:, 1]
 
-    def at(self, rows: np.ndarray) -> Sections:
-        """Returns some of the planes."""
-        return Sections(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
-
 
 def _directions() -> Float[np.ndarray, "D 2"]:
     angle = np.radians(-90 + np.arange(DIRECTIONS))
@@ -229,15 +199,13 @@ def _directions() -> Float[np.ndarray, "D 2"]:
 
 
 def cut_sections(hull: Hull) -> Sections:
-    """Cuts an outline for every x with cells: the last place where rays from the axis leave the
-    hull.
-    """
-    count_y = hull.top.shape[1]
-    count_z = hull.sides.shape[2]
+    """Cuts an outline for every x with cells, where rays from the axis leave the hull at last."""
+    count_y, count_z = hull.top.shape[1], hull.sides.shape[2]
     rows = np.flatnonzero(np.isfinite(hull.top).any(1) & (hull.sides.max((0, 2)) > 0.05))
     middle = np.abs(hull.start[1] + (np.arange(count_y) + 0.5) * hull.cell) < 0.12
-    roof = np.where(np.isfinite(hull.top), hull.top, np.nan)
-    height = np.array([_height(roof[row], middle) for row in rows])
+    roof = np.where(np.isfinite(hull.top), hull.top, np.nan)[rows]
+    some = [row[middle] if np.isfinite(row[middle]).any() else row for row in roof]
+    height = np.array([np.nanmedian(row) for row in some])
     # Below a pickup's bed; without steps that would shear the surface from one plane to the next.
     axis_z = median_filter((height + hull.low[rows]) / 2, 9, mode="nearest")
     direction = _directions()
@@ -259,8 +227,3 @@ def cut_sections(hull: Hull) -> Sections:
         radius[index] = steps[last] + hull.cell / 2
     station = hull.start[0] + (rows + 0.5) * hull.cell
     return Sections(station, axis_z, radius, hull.low[rows], hull.floor[rows])
-
-
-def _height(roof: Float[np.ndarray, " Y"], middle: np.ndarray) -> float:
-    some = roof[middle] if np.isfinite(roof[middle]).any() else roof
-    return float(np.nanmedian(some))

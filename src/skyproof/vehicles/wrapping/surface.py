@@ -8,6 +8,7 @@ from jaxtyping import Float, Int
 from scipy.ndimage import gaussian_filter1d
 from torch import Tensor
 
+from skyproof.vehicles.bodies import CAP_RINGS, CAP_SCALES
 from skyproof.vehicles.template import (
     COLUMNS,
     RINGS,
@@ -25,27 +26,20 @@ from skyproof.vehicles.wrapping.sections import (
     no_body,
 )
 
-_CAP_RINGS = 2  # rings inside each bumper's face, as on drawn bodies
-_CAP_SCALES = (0.45, 0.86)
-_BODY_RINGS = RINGS - 2 * _CAP_RINGS
+_BODY_RINGS = RINGS - 2 * CAP_RINGS
 _HALF = COLUMNS // 2
 _SPACING = (0.25, 1.6)  # smallest and largest distance between rings, as a share of the mean
 _EVEN = 0.06  # how much evenly spaced rings are worth, in metres of misfit
 _TYRE_M = 0.24
 _LEAST_LENGTH_M = 1.0
+_ANGLE = np.radians(-90 + np.arange(DIRECTIONS // 2 + 1))  # of a half outline, from down to up
 
 
 @dataclass(frozen=True)
 class Wrapping:
-    """The template on a mesh.
-
-    Attributes:
-        station: `[27]` x of the rings in planes, from nose to tail.
-        belt_m: height of the shoulder (column 7) along the windows.
-    """
+    """The template on a mesh; `belt_m` is the height of the shoulder along the windows."""
 
     vertices: Float[Tensor, "994 3"]
-    station: Float[np.ndarray, " 27"]
     belt_m: float
     hull: Hull
 
@@ -63,11 +57,13 @@ def wrap_surface(corners: Float[np.ndarray, "F 3 3"]) -> Wrapping:
     if not len(every.station) or np.ptp(every.station) < _LEAST_LENGTH_M:
         raise no_body()
     belt = _belt_height(every)
-    outlines = np.stack([_half_outlines(every, side) for side in (1, -1)])
+    # Distances from straight down to straight up, on the left and the right side.
+    around = np.concatenate([every.radius, every.radius[:, :1]], axis=1)
+    half = DIRECTIONS // 2
+    outlines = np.stack([around[:, : half + 1], around[:, : half - 1 : -1]])
     places = _places(every, outlines.mean(0), belt)
-    chosen = _choose_stations(every)[::-1]
-    station = every.station[chosen]
-    rings = np.stack([_ring(every, outlines[:, row], places[row], row) for row in chosen.tolist()])
+    chosen = _choose_stations(every)[::-1].tolist()
+    rings = np.stack([_ring(every, outlines[:, row], places[row], row) for row in chosen])
     upper = [column for column in range(COLUMNS) if min(column, COLUMNS - column) > TOPOLOGY_SILL]
     rings[:, upper] = hull.snap(rings[:, upper].reshape(-1, 3)).reshape(_BODY_RINGS, -1, 3)
     rings[:, _HALF, 1] = 0.0
@@ -76,7 +72,7 @@ def wrap_surface(corners: Float[np.ndarray, "F 3 3"]) -> Wrapping:
     body = np.concatenate([nose[1:], rings, tail[:0:-1]])
     vertices = np.concatenate([body.reshape(-1, 3), nose[:1, 0], tail[:1, 0]])
     vertices[:, 2] = (vertices[:, 2] - vertices[:, 2].min()).clip(0.0)
-    return Wrapping(torch.from_numpy(vertices).float(), station, belt, hull)
+    return Wrapping(torch.from_numpy(vertices).float(), belt, hull)
 
 
 def _profiles(sections: Sections) -> Float[np.ndarray, "S K"]:
@@ -105,9 +101,7 @@ def _end(sections: Sections, step: int) -> int:
 
 
 def _choose_stations(sections: Sections) -> Int[np.ndarray, " 27"]:
-    """Chooses, by dynamic programming, 27 planes whose straight connections follow the profiles
-    best.
-    """
+    """Chooses 27 planes, the straight connections of which follow the profiles best."""
     first = _end(sections, 1)
     last = _end(sections, -1)
     profiles = _profiles(sections)[first : last + 1]
@@ -123,6 +117,7 @@ def _choose_stations(sections: Sections) -> Int[np.ndarray, " 27"]:
             straight = profiles[:-gap] + step / gap * (profiles[gap:] - profiles[:-gap])
             misfit += np.abs(profiles[step : count - gap + step] - straight).sum(1)
         cost[gap, gap:] = misfit * cell + _EVEN * mean * cell * (gap / mean - 1) ** 2
+    # Dynamic programming: the least cost of each ring at each plane, and the gap before it.
     best = np.full((_BODY_RINGS, count), np.inf)
     came = np.zeros((_BODY_RINGS, count), np.int64)
     best[0, 0] = 0.0
@@ -156,17 +151,6 @@ def _belt_height(sections: Sections) -> float:
     return float(levels[int(np.nanargmax(width - chord))])
 
 
-def _half_outlines(sections: Sections, side: int) -> Float[np.ndarray, "S 181"]:
-    """Returns distances from straight down to straight up, on the left (1) or right (-1) side."""
-    radius = sections.radius
-    if side > 0:
-        return radius[:, : DIRECTIONS // 2 + 1]
-    return np.concatenate([radius[:, :1], radius[:, : DIRECTIONS // 2 - 1 : -1]], axis=1)
-
-
-_ANGLE = np.radians(-90 + np.arange(DIRECTIONS // 2 + 1))
-
-
 def _places(
     sections: Sections, mean: Float[np.ndarray, "S 181"], belt: float
 ) -> Float[np.ndarray, "S 17"]:
@@ -180,37 +164,30 @@ def _places(
     split = upper[TOPOLOGY_RAIL - TOPOLOGY_BELT]
     y = mean * np.cos(_ANGLE)
     z = sections.axis_z[:, None] + mean * np.sin(_ANGLE)
-    shoulder = np.array(
-        [_shoulder(z[row], float(sections.axis_z[row]), belt) for row in range(len(z))]
-    )
-    # Lengths along each outline, and where its rail lies.
+    # Each outline's shoulder, the lengths along it from there on, and where its rail lies.
+    shoulders = [_shoulder(*each, belt) for each in zip(z, sections.axis_z.tolist(), strict=True)]
     arcs = []
     rails = np.empty(len(z))
-    for row in range(len(z)):
-        s = shoulder[row]
-        along = np.r_[
-            0.0, np.hypot(np.diff(y[row, s:]), np.diff(z[row, s:])).cumsum()
-        ] + 1e-7 * np.arange(len(y[row, s:]))
+    for row, s in enumerate(shoulders):
+        out, up = y[row, s:], z[row, s:]
+        along = np.r_[0.0, np.hypot(np.diff(out), np.diff(up)).cumsum()]
+        along += 1e-7 * np.arange(len(out))
         # The rail is the corner of the outline above the shoulder: farthest from the straight line
         # over it.
-        run, rise = y[row, -1] - y[row, s], z[row, -1] - z[row, s]
-        off = np.abs((y[row, s:] - y[row, s]) * rise - (z[row, s:] - z[row, s]) * run)
+        off = np.abs((out - out[0]) * (up[-1] - up[0]) - (up - up[0]) * (out[-1] - out[0]))
         corner = along[int(np.argmax(off))] / along[-1]
-        share = np.clip((z[row].max() - z[row, s] - 0.06) / 0.2, 0.0, 1.0)
+        share = np.clip((z[row].max() - up[0] - 0.06) / 0.2, 0.0, 1.0)
         rails[row] = split + share * (np.clip(corner, 0.25, 0.75) - split)
         arcs.append(along)
     cell = float(sections.station[1] - sections.station[0])
     rails = gaussian_filter1d(rails, 0.08 / cell, mode="nearest")
     # Columns above the belt, by length on both sides of the rail.
     places = np.zeros((len(z), _HALF + 1))
-    for row, along in enumerate(arcs):
-        rail = rails[row]
-        share = rail * (upper / split).clip(0, 1) + (1 - rail) * (
-            (upper - split) / (1 - split)
-        ).clip(0, 1)
-        places[row, TOPOLOGY_BELT:] = shoulder[row] + np.interp(
-            share * along[-1], along, np.arange(len(along))
-        )
+    below, above = (upper / split).clip(0, 1), ((upper - split) / (1 - split)).clip(0, 1)
+    for row, (along, rail) in enumerate(zip(arcs, rails, strict=True)):
+        length = (rail * below + (1 - rail) * above) * along[-1]
+        steps = np.interp(length, along, np.arange(len(along)))
+        places[row, TOPOLOGY_BELT:] = shoulders[row] + steps
     return places
 
 
@@ -244,10 +221,8 @@ def _ring(
         lower = lower[int(np.argmax(np.where(z[lower] < low + 0.03, y[lower], 0.0))) :]
         order = np.argsort(z[lower], kind="stable")
         widths = np.interp(heights, z[lower][order], y[lower][order])
-        along_y[TOPOLOGY_SILL : TOPOLOGY_BELT + 1], along_z[TOPOLOGY_SILL : TOPOLOGY_BELT + 1] = (
-            widths,
-            heights,
-        )
+        side = slice(TOPOLOGY_SILL, TOPOLOGY_BELT + 1)
+        along_y[side], along_z[side] = widths, heights
         along_y[:2] = 0.0, max(widths[0] - _TYRE_M, 0.4 * widths[0])
         along_z[:2] = min(max(sections.floor[row], low + 0.01), low + 0.5 * (top - low))
         columns = np.arange(_HALF + 1) if sign > 0 else (COLUMNS - np.arange(_HALF + 1)) % COLUMNS
@@ -261,7 +236,7 @@ def _cap(hull: Hull, end: Float[np.ndarray, "32 3"], *, nose: bool) -> Float[np.
     sign = 1.0 if nose else -1.0
     pole = np.array([end[0, 0], 0.0, (end[0, 2] + end[_HALF, 2]) / 2])
     rings = []
-    for scale in (0.0, *_CAP_SCALES):
+    for scale in (0.0, *CAP_SCALES):
         ring = pole + scale * (end - pole)
         face = hull.face(ring, nose=nose)
         # Where the face is open, and under it, the cap stays flat.
