@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from skyproof.assessment.assess import assess_steps
-from skyproof.assessment.request import Request
+from skyproof.assessment.command import Request
 from skyproof.assessment.subject import Subject
 from skyproof.assessment.suite import DEMO_SUITE, read_suite
 from skyproof.assessment.suite import SUITE as SUITE_FILE

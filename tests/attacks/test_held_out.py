@@ -17,7 +17,7 @@ class Told(HeldOut):
     """Gives these answers, one after the other, and remembers what it was shown."""
 
     def __init__(self, world, *hidden):
-        super().__init__([loaded(0.6)], world, FEW.seed)
+        super().__init__([loaded(0.6)], world, FEW.seed, 8)
         self.answers = list(hidden)
         self.shown = []
 
@@ -32,7 +32,7 @@ def learn(folder, world, held_out, *, name="T-PixFc", **more):
 
 
 def test_dark_paint_hides_from_what_fires_where_it_is_bright(world):
-    held_out = HeldOut([loaded(0.6)], world, FEW.seed)
+    held_out = HeldOut([loaded(0.6)], world, FEW.seed, 8)
     black, white = (held_out.measure(plain_paint((level,) * 3, masked=False)) for level in (0, 255))
     assert black > white
     assert black.hidden > 0.5 > white.hidden
@@ -40,7 +40,7 @@ def test_dark_paint_hides_from_what_fires_where_it_is_bright(world):
 
 
 def test_of_scenes_in_which_a_detector_found_nothing_before_nothing_is_hidden(world):
-    held_out = HeldOut([loaded(0.6)], world, FEW.seed)
+    held_out = HeldOut([loaded(0.6)], world, FEW.seed, 8)
     # It finds the vehicles of later batches alone.
     held_out.__dict__["_found"] = {"brightness": torch.arange(64) >= 16}
     assert held_out.measure(plain_paint((0, 0, 0), masked=False), 2).hidden == 0

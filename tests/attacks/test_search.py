@@ -83,7 +83,7 @@ def test_the_paint_that_hides_most_is_chosen(world: World) -> None:
     # The detector fires where it is bright.
     paints = [plain_paint((level,) * 3, masked=False) for level in (255, 0, 128)]
     shown = []
-    held_out = HeldOut([loaded(0.6)], world, FEW.seed)
+    held_out = HeldOut([loaded(0.6)], world, FEW.seed, 8)
     chosen, record = choose(paints, held_out, progress=lambda number, _: shown.append(number))
     assert chosen is paints[1]
     assert record["hidden"][1] > max(record["hidden"][0], record["hidden"][2])
@@ -105,7 +105,9 @@ def test_all_scenes_decide_between_the_finalists(world: World) -> None:
             return Hidden((self.all if batches == BATCHES else self.few)[number], 0.0)
 
     paints = [plain_paint((level,) * 3, masked=False) for level in (0, 64, 128, 192, 255)]
-    chosen, record = choose(paints, Told([loaded(0.6)], world, FEW.seed))
+    chosen, record = choose(
+        paints, Told([loaded(0.6)], world, FEW.seed, 8), progress=lambda *_: None
+    )
     assert chosen is paints[2]
     assert record["finalists"] == {str(paints[1].name): 0.2, str(paints[2].name): 0.3}
 
@@ -134,7 +136,7 @@ def test_a_plain_paint_has_no_other_constraint() -> None:
 
 def test_a_detector_that_finds_nothing_has_nothing_to_hide_from(world: World) -> None:
     with pytest.raises(ConfigurationError, match="brightness finds no vehicle"):
-        HeldOut([loaded(1.0)], world, FEW.seed).measure(plain_paint((0, 0, 0), masked=False))
+        HeldOut([loaded(1.0)], world, FEW.seed, 8).measure(plain_paint((0, 0, 0), masked=False))
 
 
 def test_parts_of_a_map_are_of_all_sizes_and_everywhere() -> None:

@@ -17,7 +17,7 @@ from maite.spotcheck import SpotcheckError, spotcheck, spotcheck_component
 from maite.tasks import evaluate, predict
 
 import skyproof as sp
-from skyproof.assessment.request import Request
+from skyproof.assessment.command import Request
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.loaded import load_detector
 from skyproof.errors import ConfigurationError, DetectorAnswerError, StoredFileError

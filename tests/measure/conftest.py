@@ -1,8 +1,9 @@
 """The small world, made once."""
 
 import pytest
+import torch
 
-from skyproof.measure.precheck import precheck
+from skyproof.measure.precheck import PrecheckScenes, precheck
 from tests.measure.world import Toy, judging, make_backgrounds, make_fleet, make_scenes
 from tests.results.conftest import make_detections, make_scene, rng  # noqa: F401
 
@@ -37,5 +38,6 @@ def records(backgrounds, fleet, scenes, good):
     """What the precheck says of a detector that finds everything, and of one blind to yellow."""
     blind = Toy("blind", scenes, fleet, is_yellow)
     judges = [judging(good), judging(blind)]
-    made = precheck(judges, backgrounds, fleet, scenes, draws=2)
+    data = PrecheckScenes(backgrounds, fleet, scenes, draws=2, frames=[], seed=0)
+    made = precheck(judges, data, device=torch.device("cpu"))
     return {record.detector: record for record in made}

@@ -14,7 +14,7 @@ from skyproof.detectors import inference
 from skyproof.detectors.card import DetectorCard, write_card
 from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
 from skyproof.measure.baseline import BaselineSet
-from skyproof.measure.precheck import precheck, precheck_changes
+from skyproof.measure.precheck import PrecheckScenes, precheck, precheck_changes
 from skyproof.measure.views import SceneChange, SceneRenderer, views
 from skyproof.render.dataset import render_dataset
 from skyproof.render.renderer import TorchRenderer
@@ -125,8 +125,9 @@ def test_blur_and_sun_change_the_picture(records, good):
 
 
 def test_what_cannot_be_checked_is_refused(backgrounds, fleet, scenes):
-    def check(judge, scenes=scenes, **options):
-        precheck([judge], backgrounds, fleet, scenes, **options)
+    def check(*judges, scenes=scenes, frames=()):
+        data = PrecheckScenes(backgrounds, fleet, scenes, draws=1, frames=frames, seed=0)
+        precheck(judges, data, device=torch.device("cpu"))
 
     toy = Toy("toy", scenes, fleet)
     with pytest.raises(ConfigurationError, match="toy finds none of the 6 vehicles"):
@@ -146,9 +147,9 @@ def test_what_cannot_be_checked_is_refused(backgrounds, fleet, scenes):
     with pytest.raises(ConfigurationError, match=r"for 0\.25 m per pixel"):
         check(coarse)
     with pytest.raises(ConfigurationError, match="Two detectors are called 'toy'"):
-        precheck([judging(toy), judging(toy)], backgrounds, fleet, scenes)
+        check(judging(toy), judging(toy))
     with pytest.raises(ConfigurationError, match="at least one detector"):
-        precheck([], backgrounds, fleet, scenes)
+        check()
 
 
 def test_a_record_is_read_as_it_was_written(records, tmp_path):

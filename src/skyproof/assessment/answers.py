@@ -13,6 +13,7 @@ from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS, referenc
 from skyproof.documents import read_document
 from skyproof.files import write_json
 from skyproof.layout import Layout
+from skyproof.results.result import LENIENT_MATCH, MAIN_MATCH
 from skyproof.words import detector_name, interval, percent
 
 
@@ -52,18 +53,22 @@ class _Answers(Struct, frozen=True):
     rows: list[_Answer]
     worst_cases: list[_WorstAnswer] = []
 
-    def of(self, camouflages: Collection[str], match: str = "centre_1m") -> list[_Answer]:
+    def of(self, camouflages: Collection[str], match: str) -> dict[tuple[str, ...], _Answer]:
         """Gives the rows of some camouflages by one match rule."""
-        return [row for row in self.rows if row.camouflage in camouflages and row.match == match]
+        return {
+            (row.camouflage, row.renderer, row.detector): row
+            for row in self.rows
+            if row.camouflage in camouflages and row.match == match
+        }
 
 
 def say_answers(layout: Layout, camouflages: Collection[str]) -> None:
     """Prints the share that some camouflages hide from each detector."""
     answers = _read(layout)
-    lenient = {_place(row): row.easr for row in answers.of(camouflages, "centre_in_box")}
-    for row in answers.of(camouflages):
+    lenient = answers.of(camouflages, LENIENT_MATCH)
+    for place, row in answers.of(camouflages, MAIN_MATCH).items():
         where = _where(row.renderer)
-        half = lenient.get(_place(row))
+        half = lenient[place].easr if place in lenient else None
         say(
             f"  {detector_name(row.detector):<12} {row.camouflage} hides {percent(row.easr)}"
             f"{where} (95 % interval {interval(row.easr_low, row.easr_high)}), "
@@ -88,15 +93,11 @@ def say_verdict(layout: Layout) -> None:
 def say_expected(layout: Layout, suite: Suite) -> None:
     """Compares the rows of a reference detector with the suite's, and stores the comparison.
 
-    A detector must not pass because the attacks were weak on this machine. Other detectors have no
-    expected numbers.
-
-    Args:
-        layout: layout of a finished run on drawn ground with seed 0.
-        suite: suite with the expected numbers.
+    A detector must not pass because the attacks were weak on this machine. Other detectors, and
+    runs on other ground or with another seed than 0, have no expected numbers.
     """
     compared = []
-    for row in _read(layout).of(suite.attacks):
+    for row in _read(layout).of(suite.attacks, MAIN_MATCH).values():
         if row.renderer != "torch" or not _is_reference(layout, row.detector):
             continue
         expected = suite.expected.get(row.detector, {}).get(row.camouflage)
@@ -132,10 +133,6 @@ def say_expected(layout: Layout, suite: Suite) -> None:
 def _read(layout: Layout) -> _Answers:
     answers: _Answers = read_document(layout.results, _Answers, "give the same command again")
     return answers
-
-
-def _place(row: _Answer) -> tuple[str, str, str]:
-    return row.camouflage, row.renderer, row.detector
 
 
 def _where(renderer: str) -> str:

@@ -2,35 +2,22 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from skyproof.assessment.answers import say_answers, say_expected, say_verdict
 from skyproof.assessment.attacking import attacks, controls, scored
-from skyproof.assessment.judging import (
-    enough_ground,
-    precheck,
-    refuse_what_scenes_cannot_show,
-    report,
-    score,
-)
-from skyproof.assessment.objects import checked_object
+from skyproof.assessment.command import Request
+from skyproof.assessment.judging import enough_ground, precheck, report, score
 from skyproof.assessment.planning import plan_words
 from skyproof.assessment.preparing import fleets, prepare, rendered, scenes
-from skyproof.assessment.request import Request
 from skyproof.assessment.run import SOURCES, Run, Step
-from skyproof.assessment.sources import source_digests
-from skyproof.assessment.subject import REFERENCE_GSD_M, Subject
-from skyproof.assessment.suite import SUITE, Suite, read_suite
+from skyproof.assessment.subject import REFERENCE_GSD_M, Subject, checked_object, subject_of
+from skyproof.assessment.suite import SUITE, read_suite
 from skyproof.console import say
 from skyproof.cycles.blender import find_blender
 from skyproof.cycles.settings import Rendering
-from skyproof.detectors.card import read_card
-from skyproof.detectors.reference_detectors import detector_folder
-from skyproof.device import choose_device
-from skyproof.errors import ConfigurationError
 from skyproof.files import file_digest
 from skyproof.ranges import check_ranges
 
@@ -58,12 +45,9 @@ def assess_steps(its: Subject) -> Iterator[Step]:
     yield from drawn
     optimised = scored(its, made)
     worn = [*optimised, *(place.parent for step in drawn for place in step.outputs)]
-    batches = [
-        worn[start : start + _SCORED_AT_ONCE] for start in range(0, len(worn), _SCORED_AT_ONCE)
-    ]
     scores = [
-        score(its, f"test-{number}", batch, first=number == 0)
-        for number, batch in enumerate(batches)
+        score(its, f"test-{number}", worn[start : start + _SCORED_AT_ONCE], first=number == 0)
+        for number, start in enumerate(range(0, len(worn), _SCORED_AT_ONCE))
     ]
     if its.request.cycles:
         rendering = Rendering(renderer="cycles", blender=its.request.blender)
@@ -80,15 +64,9 @@ def run_assessment(
 ) -> Path:
     """Does all steps that are not finished, and prints the results; returns the report's path.
 
-    Args:
-        request: the request.
-        suite_file: the suite of attacks.
-        black_box: a detector without weights, in place of the request's folders.
-
-    Raises:
-        SkyproofError: an error stopped a step.
+    A black-box detector stands in place of the request's folders.
     """
-    its = _subject(request, read_suite(suite_file), black_box)
+    its = subject_of(request, read_suite(suite_file), black_box)
     what = "is this vehicle detector" if len(its.names) == 1 else "are these vehicle detectors"
     config = {
         "title": f"How robust {what} to camouflage?",
@@ -117,7 +95,7 @@ def run_assessment(
 
 def plan_assessment(request: Request, suite_file: Path = SUITE) -> None:
     """Prints the size of the test, the size it needs, and the time; writes nothing."""
-    its = _subject(request, read_suite(suite_file), None)
+    its = subject_of(request, read_suite(suite_file), None)
     for line in plan_words(its, [*assess_steps(its)]):
         say(line)
 
@@ -209,55 +187,6 @@ def assess(
     )
     check_ranges(request)
     return run_assessment(request, black_box=black_box)
-
-
-def _subject(request: Request, suite: Suite, black_box: BlackBoxDetector | None) -> Subject:
-    """Checks the request, and reads the detectors' cards.
-
-    Raises:
-        ConfigurationError: the request cannot work, detectors share a name or differ in resolution,
-            or a black-box detector has another resolution than the reference detectors.
-    """
-    request.refuse_contradictions(objects=black_box is not None)
-    if request.requirement is not None:
-        refuse_what_scenes_cannot_show(request.requirement, suite.test_images)
-    usual_m = request.detector_gsd or REFERENCE_GSD_M
-    places = [] if black_box is not None else [*request.detectors]
-    folders = [detector_folder(place) for place in places]
-    if black_box is not None:
-        known = [(black_box.name, usual_m)]
-    elif folders[0].is_file():
-        known = [(request.checkpoint_name, usual_m)]
-    else:
-        known = [(card.name, card.gsd_m) for card in map(read_card, folders)]
-    names = [name for name, _ in known]
-    for number, (name, gsd_m) in enumerate(known):
-        if name in names[:number]:
-            raise ConfigurationError(
-                f"{places[number]} is a second {name}; give each kind of detector once."
-            )
-        if not math.isclose(gsd_m, known[0][1]):
-            raise ConfigurationError(
-                f"{places[number]} sees {gsd_m:g} m per pixel and {places[0]} {known[0][1]:g}; "
-                "assess them in runs of their own."
-            )
-    read = [*places, *([] if request.labels is None else [request.labels])]
-    its = Subject(
-        request,
-        suite,
-        tuple(names),
-        known[0][1],
-        choose_device(request.device),
-        source_digests(read),
-        black_box,
-    )
-    if black_box is not None and not its.fits_reference:
-        raise ConfigurationError(
-            f"Attacks on a callable start from the reference detectors, which see "
-            f"{REFERENCE_GSD_M} m per pixel, got {its.gsd_m:g}; give it images of "
-            f"{REFERENCE_GSD_M} m and resize them in the function."
-        )
-    return its
 
 
 def _limits(its: Subject) -> Iterator[str]:

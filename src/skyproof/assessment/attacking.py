@@ -63,9 +63,7 @@ def attack(
         detectors = its.references if transfer else its.detectors
         maker = Maker(detectors, its.world, settings, its.device, its.palette(name))
         texture = None if under is None else load_camouflage(under)
-        verb = "choose" if name.has_candidates else "attack"
-        with progress_bar(f"{verb} {name}") as update:
-            maker.make(name, folder, draws=best_of, texture=texture, progress=update)
+        maker.make(name, folder, draws=best_of, texture=texture)
 
     attacked = REFERENCE_DETECTORS if transfer else its.names
     images = settings.images(name, best_of) * len(attacked)
@@ -82,34 +80,25 @@ def attack(
 
 def query(its: Subject, name: CamouflageName, start: CamouflageName | None = None) -> Step:
     """Makes a query attack; it starts from a finished camouflage, or from a random draw."""
-    layout = its.layout
+    folder = its.layout.camouflage(str(name))
     settings = replace(its.suite.queries, seed=its.seed)
 
     def work() -> None:
         if start is None:
-            begun = make_camouflage(
-                name,
-                generator=generator_of(its.seed, "texture", str(name)),
-                palette=its.palette(name),
-            )
+            generator = generator_of(its.seed, "texture", str(name))
+            begun = make_camouflage(name, generator=generator, palette=its.palette(name))
         else:
-            begun = load_camouflage(layout.camouflage(str(start)))
+            begun = load_camouflage(its.layout.camouflage(str(start)))
             begun.name = name
+        begun.to(its.device)
         (detector,) = its.detectors
         with progress_bar(f"query attack {name}") as update:
-            query_attack(
-                begun.to(its.device),
-                detector,
-                its.world,
-                settings,
-                layout.camouflage(str(name)),
-                on_step=update,
-            )
+            query_attack(begun, detector, its.world, settings, folder, on_step=update)
 
     return Step(
         "ask",
         str(name),
-        (layout.camouflage(str(name)) / "camouflage.json",),
+        (folder / "camouflage.json",),
         work,
         (settings, str(start), its.names, its.attack_px, its.places),
         growing=True,
@@ -131,13 +120,8 @@ def _drawn(its: Subject, texts: Sequence[str], texture: str | None = None) -> St
     def work() -> None:
         under = None if texture is None else load_camouflage(layout.camouflage(texture))
         for name in names:
-            draw_random_control(
-                name,
-                layout.camouflage(str(name)),
-                seed=its.seed,
-                palette=its.palette(name),
-                texture=under,
-            )
+            folder, palette = layout.camouflage(str(name)), its.palette(name)
+            draw_random_control(name, folder, seed=its.seed, palette=palette, texture=under)
 
     return Step(
         "control",
@@ -156,8 +140,7 @@ def scored(its: Subject, steps: Sequence[Step]) -> list[Path]:
     for step in steps:
         folder = its.layout.camouflage(step.name)
         folders.append(folder)
-        if step.kind == "ask":
-            name = CamouflageName.parse(step.name)
-            kept = [str(name.after_queries(images)) for images in its.suite.queries.keep_at]
-            folders += [folder / "snapshots" / copy for copy in kept]
+        name = CamouflageName.parse(step.name)
+        for images in its.suite.queries.keep_at if step.kind == "ask" else ():
+            folders.append(folder / "snapshots" / str(name.after_queries(images)))
     return folders

@@ -1,13 +1,148 @@
-"""`skyproof assess` and `skyproof demo`."""
+"""`skyproof assess` and `skyproof demo`, and the request that they make: config.json holds it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-from skyproof.assessment.request import Request
-from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS, reference_folder
-from skyproof.ranges import Seed
+from msgspec import Meta
+from tyro.conf import Positional
+
+from skyproof.detectors.card import require_detector_name
+from skyproof.detectors.reference_detectors import (
+    REFERENCE_DETECTORS,
+    detector_folder,
+    reference_folder,
+)
+from skyproof.errors import ConfigurationError
+from skyproof.ranges import Fraction, GroundResolution, Risk, Seed
+
+if TYPE_CHECKING:
+    from skyproof.results.statistics.acceptance import Requirement
+
+_Class = Annotated[str, Meta(max_length=200)]
+_UNDECIDED = ("out", "device", "cycles", "blender")
+"""Where a run is computed, or what is added to it, changes none of its results."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """The detectors, the imagery and the requirement of an assessment.
+
+    Attributes:
+        detectors: detector folders, "retinanet" or "faster_rcnn", which are attacked together and
+            tested one by one, or a single checkpoint file of Ultralytics or torchvision.
+        out: run folder to write.
+        imagery: orthophotos or folders of them, as GeoTIFF, or JPEG or PNG with `--gsd`. Without
+            any, ground is drawn, and the result says nothing about your sites.
+        gsd: metres per pixel of imagery that does not state it.
+        labels: vehicle labels of the imagery: COCO, YOLO or DOTA text, GeoJSON, GeoPackage or
+            Shapefile. They freeze the threshold.
+        label_classes: vehicle classes of the labels, if they have several classes.
+        vehicle_classes: vehicle classes of a checkpoint (Ultralytics: names, torchvision: numbers).
+        architecture: architecture of a torchvision checkpoint, as for `skyproof import`.
+        detector_gsd: metres per pixel that a checkpoint was made for (0.125).
+        accept: share of found vehicles that the worst attack may hide. With `--reject` the report
+            accepts or rejects each detector.
+        reject: share of hidden vehicles from which a detector is rejected.
+        producer_risk: largest chance that a detector at `--accept` is rejected.
+        consumer_risk: largest chance that a detector at `--reject` is accepted.
+        cycles: render the test scenes with Blender Cycles, too, also after a finished run.
+        blender: Blender 4.5, or a Python with bpy 4.5 (default: of `make blender`, then of the
+            PATH).
+        seed: seed of everything that is drawn.
+        device: auto, cpu or cuda.
+    """
+
+    detectors: Positional[tuple[Path, ...]]
+    out: Path
+    imagery: tuple[Path, ...] = ()
+    gsd: GroundResolution | None = None
+    labels: Path | None = None
+    label_classes: tuple[_Class, ...] = ()
+    vehicle_classes: Annotated[tuple[_Class, ...], Meta(max_length=1000)] = ()
+    architecture: str | None = None
+    detector_gsd: GroundResolution | None = None
+    accept: Fraction | None = None
+    reject: Fraction | None = None
+    producer_risk: Risk = 0.05
+    consumer_risk: Risk = 0.05
+    cycles: bool = False
+    blender: Path | None = None
+    seed: Seed = 0
+    device: str = "auto"
+
+    @property
+    def requirement(self) -> Requirement | None:
+        """What decides whether a detector is accepted; None where nothing is asked."""
+        from skyproof.results.statistics.acceptance import requirement_of
+
+        return requirement_of(self.accept, self.reject, self.producer_risk, self.consumer_risk)
+
+    @property
+    def checkpoint_name(self) -> str:
+        """The run folder's name, for a checkpoint: trainers call their files "best" and "last"."""
+        return self.out.resolve().name
+
+    def config(self) -> dict[str, object]:
+        """Gives what decides the results, for config.json."""
+        settings = {key: value for key, value in asdict(self).items() if key not in _UNDECIDED}
+        imagery = [str(path) for path in self.imagery] or "procedural"
+        return {**settings, "imagery": imagery}
+
+    def refuse_contradictions(self, *, objects: bool) -> None:
+        """Refuses options that contradict each other; of Python objects no file is read."""
+        needed = {
+            "--blender": (self.blender, self.cycles, "--cycles"),
+            "--gsd": (self.gsd, self.imagery, "--imagery"),
+            "--labels": (self.labels, self.imagery, "--imagery"),
+            "--label-classes": (self.label_classes, self.labels, "--labels"),
+        }
+        for option, (value, other, name) in needed.items():
+            if value and not other:
+                raise ConfigurationError(f"{option} needs {name}; give {name} too.")
+        for path in (*self.imagery, *([] if self.labels is None else [self.labels])):
+            if not path.exists():
+                raise ConfigurationError(f"{path} is not there; check --imagery and --labels.")
+        if not self.detectors:
+            raise ConfigurationError("assess expects at least one detector, got none.")
+        if not objects:
+            for place in self.detectors:
+                self._refuse_detector(place)
+
+    def _refuse_detector(self, place: Path) -> None:
+        folder = detector_folder(place)
+        if not folder.exists():
+            raise ConfigurationError(
+                f"{place} is not there; give a detector folder, a checkpoint file, or the name of "
+                "a detector that comes with skyproof (retinanet, faster_rcnn)."
+            )
+        if folder.is_dir():
+            given = {
+                "--vehicle-classes": self.vehicle_classes,
+                "--architecture": self.architecture,
+                "--detector-gsd": self.detector_gsd,
+            }
+            option = next((option for option, value in given.items() if value), None)
+            if option is not None:
+                raise ConfigurationError(
+                    f"{option} is for checkpoint files, and {place} is a folder, which says it "
+                    "itself; leave the option out."
+                )
+        elif len(self.detectors) > 1:
+            raise ConfigurationError(
+                f"{place} is a checkpoint file, which is assessed alone; make a detector folder of "
+                "it first (skyproof import), and give that beside the others."
+            )
+        elif not self.vehicle_classes:
+            raise ConfigurationError(
+                f"{place} is a checkpoint file, whose classes may be anything; say with "
+                "--vehicle-classes which of them are vehicles."
+            )
+        else:
+            remedy = "it is called like the run folder, so choose another --out"
+            require_detector_name(self.checkpoint_name, remedy)
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,6 @@ from skyproof.documents import read_document
 from skyproof.files import write_json
 from skyproof.results.stored import read_environment
 
-_REMEDY = "move it away and give the same command again"
-
 _LONGEST_COMMAND = 2000
 """A command may name hundreds of photographs."""
 
@@ -50,7 +48,8 @@ def write_environment(path: Path, device: str, seed: object) -> None:
 
 def note_end(path: Path) -> None:
     """Records when the run ended."""
-    noted: dict[str, Any] = read_document(path, dict[str, Any], _REMEDY)
+    remedy = "move it away and give the same command again"
+    noted: dict[str, Any] = read_document(path, dict[str, Any], remedy)
     write_json(path, {**noted, "finished": _now()})
 
 

@@ -13,7 +13,7 @@ from skyproof.cli.precheck import Precheck
 from skyproof.cli.score import Score
 from skyproof.console import say
 from skyproof.cycles.settings import Rendering
-from skyproof.errors import ConfigurationError, ImageryError
+from skyproof.errors import ImageryError
 from skyproof.files import write_json
 from skyproof.report.report import write_report
 from skyproof.results.statistics.acceptance import Requirement, fewest_tiles
@@ -52,48 +52,29 @@ def enough_ground(its: Subject, requirement: Requirement) -> Step:
     return Step("size", "size", (out,), work, requirement, inputs=(scenes,), renewed=True)
 
 
-def refuse_what_scenes_cannot_show(requirement: Requirement, scenes: int) -> None:
-    """Refuses a requirement that needs more tiles than there are test scenes.
-
-    Raises:
-        ConfigurationError: no imagery could be enough.
-    """
-    needed = fewest_tiles(requirement.reject, requirement.consumer_risk)
-    if needed >= scenes:
-        raise ConfigurationError(
-            f"To accept a detector at --reject {requirement.reject:g} with --consumer-risk "
-            f"{requirement.consumer_risk:g} takes {needed} test tiles at least, and the suite has "
-            f"{scenes} scenes, which do not all stand on tiles of their own; ask for a larger "
-            "share or a larger risk."
-        )
-
-
 def precheck(its: Subject) -> Step:
     """Prechecks the detectors."""
     layout, suite = its.layout, its.suite
     scenes = min(suite.check_scenes, suite.test_images)
     frames = _frames(its)
-
-    def work() -> None:
-        Precheck(
-            tuple(layout.detector(name) for name in its.names),
-            layout.backgrounds,
-            layout.fleets / "test",
-            layout.scenes("test"),
-            scenes,
-            draws=suite.check_draws,
-            frames=frames,
-            frame_classes=VEHICLE_CLASSES,
-            seed=its.seed,
-            device=its.request.device,
-        ).run(its.detectors)
-
+    check = Precheck(
+        its.folders,
+        layout.backgrounds,
+        layout.fleets / "test",
+        layout.scenes("test"),
+        scenes,
+        draws=suite.check_draws,
+        frames=frames,
+        frame_classes=VEHICLE_CLASSES,
+        seed=its.seed,
+        device=its.request.device,
+    )
     images = scenes * (1 + _TRIALS + _CONTROLS * suite.check_draws)
     return Step(
         "check",
         "detectors",
         tuple(layout.precheck(name) for name in its.names),
-        work,
+        lambda: check.run(its.detectors),
         (its.names, scenes, suite.check_draws, its.seed, frames),
         effort_s=START_S + _looked_at_s(its, "torch") * images / suite.test_images,
     )
@@ -107,39 +88,30 @@ def score(
     first: bool = False,
     rendering: Rendering | None = None,
 ) -> Step:
-    """Tests every detector on the test scenes, with and without camouflages.
-
-    With `first` the baselines on the labelled test tiles are measured, too.
-    """
+    """Tests every detector with and without camouflages, and `first` on the labelled test tiles."""
     layout = its.layout
     chosen = rendering or Rendering()
     original = layout.dataset("test" if rendering is None else f"test-{chosen.renderer}")
     frames = _frames(its) if first else ()
-    out = layout.score(title)
-
-    def work() -> None:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        Score(
-            detectors=tuple(layout.detector(name) for name in its.names),
-            out=out,
-            original=original,
-            camouflages=tuple(camouflages),
-            backgrounds=layout.backgrounds,
-            fleet=layout.fleets / "test",
-            frames=frames,
-            frame_classes=VEHICLE_CLASSES,
-            seed=its.seed,
-            device=its.request.device,
-            renderer=chosen.renderer,
-            blender=chosen.blender,
-        ).measure(its.detectors)
-
+    measured = Score(
+        **vars(chosen),
+        detectors=its.folders,
+        out=layout.score(title),
+        original=original,
+        camouflages=tuple(camouflages),
+        backgrounds=layout.backgrounds,
+        fleet=layout.fleets / "test",
+        frames=frames,
+        frame_classes=VEHICLE_CLASSES,
+        seed=its.seed,
+        device=its.request.device,
+    )
     each_s = _looked_at_s(its, chosen.renderer)
     return Step(
         "score",
         title,
-        (out,),
-        work,
+        (measured.out,),
+        lambda: measured.measure(its.detectors),
         (its.names, camouflages, its.seed, frames, chosen),
         extra=rendering is not None,
         effort_s=START_S + each_s * (1 + len(camouflages)),

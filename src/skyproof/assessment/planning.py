@@ -10,11 +10,7 @@ from skyproof.assessment.run import Step, duration
 from skyproof.assessment.subject import Subject
 from skyproof.imagery.settings import SourceSettings
 from skyproof.imagery.tiles.grid import cells_of, lay_grids
-from skyproof.imagery.tiles.sources import (
-    SourceReader,
-    find_images,
-    inspect_source,
-)
+from skyproof.imagery.tiles.sources import SourceReader, find_images, inspect_source
 from skyproof.results.statistics.acceptance import fewest_tiles
 from skyproof.results.statistics.compliance import tiles_to_decide
 from skyproof.results.statistics.planning import (
@@ -71,8 +67,8 @@ def _test_tiles(its: Subject) -> int:
     if not its.request.imagery:
         return its.suite.tiles[3]
     tiling = tiling_of(its)
+    given = SourceSettings(gsd_m=its.request.gsd)
     with SourceReader() as reader:
-        given = SourceSettings(gsd_m=its.request.gsd)
         files = find_images(its.request.imagery)
         sources = [inspect_source(path, given, reader) for path in files]
         grids = lay_grids(sources, tiling, notes=[])

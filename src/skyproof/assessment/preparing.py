@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -14,7 +14,7 @@ from skyproof.cli.clear import FAILED, clear_tiles, failed_precheck
 from skyproof.cli.ground import Ground
 from skyproof.cli.import_detector import Import
 from skyproof.cli.precheck import Precheck
-from skyproof.cli.render import Render
+from skyproof.cli.render import Render, draw_scenes
 from skyproof.cli.vehicles import Vehicles
 from skyproof.console import say
 from skyproof.cycles.settings import Rendering
@@ -22,7 +22,7 @@ from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.card import write_card
 from skyproof.detectors.loaded import copy_detector, load_detector
 from skyproof.detectors.reference_detectors import detector_folder
-from skyproof.files import finished_folder, new_file
+from skyproof.files import finished_folder
 from skyproof.imagery.clearing.vehicle_masks import VehicleFinder
 from skyproof.imagery.settings import (
     LabelSettings,
@@ -31,14 +31,10 @@ from skyproof.imagery.settings import (
     tiling_for_images,
 )
 from skyproof.layout import Layout
-from skyproof.randomness import generator_of
 from skyproof.results.precheck import PRECHECK_FILE
-from skyproof.scenes.backgrounds import BackgroundSet
-from skyproof.scenes.sampling import sample_scenes
-from skyproof.scenes.scene import write_scenes
 from skyproof.scenes.settings import SceneSettings
 from skyproof.scenes.splits import Split
-from skyproof.vehicles.fleet import Fleet, FleetSettings
+from skyproof.vehicles.fleet import FleetSettings
 
 YOURS = "your imagery"
 VEHICLE_CLASSES = ("vehicle",)
@@ -55,15 +51,12 @@ RENDER_S = {"torch": 3.2, "cycles": 30.0}
 
 def prepare(its: Subject) -> Iterator[Step]:
     """The steps to ground without vehicles and to detectors."""
-    request = its.request
-    thresholds = [step for number in range(len(its.names)) for step in detector(its, number)]
-    if not request.imagery:
-        yield drawn_ground(its, its.layout, its.suite.tiles)
-        yield from thresholds
-        return
-    yield tiles(its)
-    yield from thresholds
-    yield cleared(its)
+    imagery = bool(its.request.imagery)
+    yield tiles(its) if imagery else drawn_ground(its, its.layout, its.suite.tiles)
+    for number in range(len(its.names)):
+        yield from detector(its, number)
+    if imagery:
+        yield cleared(its)
 
 
 def tiling_of(its: Subject) -> TilingSettings:
@@ -146,12 +139,15 @@ def frozen_on_labels(its: Subject, name: str, place: Path) -> Step:
 def brought(its: Subject, name: str, place: Path | None, validation: Path) -> Step:
     """Imports a checkpoint or takes a black-box detector, with a threshold frozen on images."""
     request, out = its.request, its.layout.detector(name)
-    read = its.sources.get(str(place))
-    settings = (read, request.vehicle_classes, request.architecture, validation)
-    if place is None:
-        work: Callable[[], object] = partial(_freeze_black_box, its, out, validation)
-    else:
-        work = Import(
+
+    def work() -> None:
+        if its.black_box is not None:
+            its.black_box.freeze(Dataset.open(validation))
+            write_card(out / "detector.json", its.black_box.card)
+            say_card(its.black_box.card, out)
+            return
+        assert place is not None
+        Import(
             place,
             "torchvision" if request.architecture else "ultralytics",
             request.vehicle_classes,
@@ -160,17 +156,12 @@ def brought(its: Subject, name: str, place: Path | None, validation: Path) -> St
             architecture=request.architecture,
             name=name,
             device=request.device,
-        ).run
+        ).run()
+
+    read = its.sources.get(str(place))
+    settings = (read, request.vehicle_classes, request.architecture, validation)
     kind = "threshold" if place is None else "import"
     return Step(kind, name, (out / "detector.json",), work, settings, effort_s=_LONG_S)
-
-
-def _freeze_black_box(its: Subject, out: Path, validation: Path) -> None:
-    assert its.black_box is not None
-    its.black_box.freeze(Dataset.open(validation))
-    out.mkdir(parents=True, exist_ok=True)
-    write_card(out / "detector.json", its.black_box.card)
-    say_card(its.black_box.card, out)
 
 
 def cleared(its: Subject) -> Step:
@@ -178,9 +169,8 @@ def cleared(its: Subject) -> Step:
     folders = [its.layout.detector(name) for name in its.names[:2]]
 
     def work() -> None:
-        finders = [
-            VehicleFinder.of_folder(its.load(folder), folder, its.device) for folder in folders
-        ]
+        detectors = [(its.load(folder), folder) for folder in folders]
+        finders = [VehicleFinder.of_folder(*each, its.device) for each in detectors]
         checker: VehicleFinder | None = finders[-1]
         if failed_precheck(folders[-1]):
             say(f"{its.names[-1]} {FAILED}.")
@@ -206,20 +196,16 @@ def scenes(its: Subject, layout: Layout, split: Split, title: str = "") -> Step:
     places = its.places if layout == its.layout else "uniform"
     settings = SceneSettings(size_px=its.image_px, places=places)
     count, out = its.suite.test_images, layout.scenes(split)
-
-    def work() -> None:
-        with new_file(out):
-            drawn = sample_scenes(
-                settings,
-                BackgroundSet.open(layout.backgrounds),
-                split,
-                Fleet.load(layout.fleets / split).sizes_m,
-                count,
-                generator=generator_of(its.seed, "scenes", split),
-                prefix=split,
-            )
-            write_scenes(out, drawn)
-
+    work = partial(
+        draw_scenes,
+        backgrounds=layout.backgrounds,
+        fleet=layout.fleets / split,
+        out=out,
+        split=split,
+        count=count,
+        settings=settings,
+        seed=its.seed,
+    )
     return Step("scenes", title or split, (out,), work, (settings, count, its.seed))
 
 
@@ -230,15 +216,13 @@ def rendered(
     chosen = rendering or Rendering()
     title = title or (split if rendering is None else f"{split}-{chosen.renderer}")
     out = layout.dataset(split if rendering is None else title)
-
     render = Render(
+        **vars(chosen),
         scenes=layout.scenes(split),
         backgrounds=layout.backgrounds,
         fleet=layout.fleets / split,
         out=out,
         device=its.request.device,
-        renderer=chosen.renderer,
-        blender=chosen.blender,
     )
     effort_s = START_S + RENDER_S[chosen.renderer] * its.test_megapixels
     extra = rendering is not None

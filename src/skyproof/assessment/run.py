@@ -47,7 +47,6 @@ class Step:
         kind: kind of work, such as "train"; it groups steps in tables of times.
         name: object of the work; kind and name together are unique in a run.
         outputs: files and folders that the step leaves. A step is finished if they exist.
-        work: function that does the work.
         settings: plain values, paths and dataclasses that decide the outputs, beside those of
             earlier steps.
         inputs: files and folders that must exist before.
@@ -111,16 +110,8 @@ class Run:
     """A new run, or the same run again; nothing is written before `begun`.
 
     A run may have other settings as long as its finished steps do not depend on them, so that a
-    late mistake can be corrected.
-
-    Args:
-        folder: run folder; made if missing.
-        config: everything that decides the results, as plain JSON values.
-        steps: steps in their order.
-
-    Raises:
-        RunFolderError: the folder holds another run or something else.
-        StoredFileError: a record of the folder is damaged.
+    late mistake can be corrected. `config` is everything that decides the results, as plain JSON
+    values. A folder that holds another run or something else is refused.
     """
 
     def __init__(self, folder: Path, config: Mapping[str, Any], steps: Sequence[Step]) -> None:
@@ -133,11 +124,7 @@ class Run:
 
     @contextmanager
     def begun(self, device: str) -> Iterator[Hold]:
-        """Locks the folder, and notes the request, the machine and the end.
-
-        Raises:
-            RunFolderError: another process works there, or it cannot be written.
-        """
+        """Locks the folder, and notes the request, the machine and the end."""
         with alone(self.folder) as hold:
             # Another process may have begun meanwhile.
             stored = self._refuse_another()
@@ -316,10 +303,7 @@ def time_left_s(
 ) -> float | None:
     """Estimates the seconds that a run still takes; None before the first step has finished.
 
-    Args:
-        steps: all steps.
-        seconds: seconds of the finished steps, by id.
-        cores: number of steps side by side.
+    `seconds` are those of the finished steps, by id; `cores` is the number of steps side by side.
     """
     done = [step for step in steps if step.id in seconds]
     if not done:

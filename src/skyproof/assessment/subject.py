@@ -1,7 +1,8 @@
-"""The detectors, ground and vehicles of an assessment, each loaded once."""
+"""The detectors, ground and vehicles of an assessment, each loaded once; made from a request."""
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skyproof.assessment.request import Request
+from skyproof.assessment.command import Request
 from skyproof.assessment.suite import Suite
 from skyproof.attacks.world import World
 from skyproof.camouflage.name import CamouflageName
@@ -21,12 +22,27 @@ from skyproof.detectors.answers import BlackBoxDetector
 from skyproof.detectors.card import read_card
 from skyproof.detectors.detector import Detector, TrainableDetector
 from skyproof.detectors.loaded import load_detector, load_ensemble
-from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS, reference_folder
+from skyproof.detectors.reference_detectors import (
+    REFERENCE_DETECTORS,
+    detector_folder,
+    reference_folder,
+)
+from skyproof.device import choose_device
+from skyproof.errors import ConfigurationError
+from skyproof.files import file_digest
 from skyproof.layout import Layout
+from skyproof.maite.models import ModelDetector, is_maite_model
+from skyproof.results.statistics.acceptance import Requirement, fewest_tiles
 from skyproof.scenes.places import Places
 
 REFERENCE_GSD_M = 0.125
 """Resolution of the reference detectors, and of detectors that state none."""
+
+_READ = (".txt", ".yaml", ".json", ".geojson")
+"""Suffixes of label files, and of a detector card, which holds the digest of the weights."""
+
+_SIDES = (".shp", ".dbf", ".prj")
+"""The files of a Shapefile."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,11 +50,8 @@ class Subject:
     """The detectors, ground and vehicles of an assessment, which its steps share.
 
     Attributes:
-        request: the request.
-        suite: the suite of attacks.
         names: names of the detectors.
         gsd_m: metres per pixel of the detectors' images.
-        device: device of the detectors.
         sources: SHA-256 of the user's files, by path.
         black_box: the detector, if it is a Python object; else None.
     """
@@ -53,12 +66,15 @@ class Subject:
 
     @property
     def layout(self) -> Layout:
-        """The paths in the run folder."""
         return Layout(self.request.out)
 
     @property
+    def folders(self) -> tuple[Path, ...]:
+        """The detectors' folders in the run folder."""
+        return tuple(map(self.layout.detector, self.names))
+
+    @property
     def seed(self) -> int:
-        """Seed of everything that is drawn."""
         return self.request.seed
 
     @property
@@ -83,18 +99,12 @@ class Subject:
 
     @property
     def labelled(self) -> bool:
-        """Whether the imagery has labels."""
         return self.request.labels is not None
 
     @property
     def fits_reference(self) -> bool:
         """Whether the reference detectors have the same resolution, and can start attacks."""
         return math.isclose(self.gsd_m, REFERENCE_GSD_M)
-
-    @property
-    def cards(self) -> list[Path]:
-        """The cards of the detectors in the run folder."""
-        return [self.layout.detector(name) / "detector.json" for name in self.names]
 
     def load(self, folder: Path) -> Detector:
         """Loads a detector of the run folder; a black-box detector gets the card of its folder."""
@@ -106,10 +116,9 @@ class Subject:
     @cached_property
     def detectors(self) -> Sequence[Detector]:
         """The detectors of the run folder, on the device."""
-        folders = [self.layout.detector(name) for name in self.names]
         if self.black_box is not None:
-            return [self.load(folders[0])]
-        return load_ensemble(folders, self.device, self.gsd_m)
+            return [self.load(self.folders[0])]
+        return load_ensemble(self.folders, self.device, self.gsd_m)
 
     @cached_property
     def references(self) -> Sequence[TrainableDetector]:
@@ -134,3 +143,88 @@ class Subject:
     @cached_property
     def _ground_palette(self) -> Float[Tensor, "colours 3"]:
         return ground_palette(self.world.backgrounds)
+
+
+def subject_of(request: Request, suite: Suite, black_box: BlackBoxDetector | None) -> Subject:
+    """Checks the request, and reads the detectors' cards."""
+    request.refuse_contradictions(objects=black_box is not None)
+    if request.requirement is not None:
+        _refuse_what_scenes_cannot_show(request.requirement, suite.test_images)
+    usual_m = request.detector_gsd or REFERENCE_GSD_M
+    places = [] if black_box is not None else [*request.detectors]
+    folders = [detector_folder(place) for place in places]
+    if black_box is not None:
+        known = [(black_box.name, usual_m)]
+    elif folders[0].is_file():
+        known = [(request.checkpoint_name, usual_m)]
+    else:
+        known = [(card.name, card.gsd_m) for card in map(read_card, folders)]
+    names = [name for name, _ in known]
+    for number, (name, gsd_m) in enumerate(known):
+        if name in names[:number]:
+            raise ConfigurationError(
+                f"{places[number]} is a second {name}; give each kind of detector once."
+            )
+        if not math.isclose(gsd_m, known[0][1]):
+            raise ConfigurationError(
+                f"{places[number]} sees {gsd_m:g} m per pixel and {places[0]} {known[0][1]:g}; "
+                "assess them in runs of their own."
+            )
+    read = [*places, *([] if request.labels is None else [request.labels])]
+    device = choose_device(request.device)
+    sources = {str(path): _digest(detector_folder(path)) for path in read}
+    its = Subject(request, suite, tuple(names), known[0][1], device, sources, black_box)
+    if black_box is not None and not its.fits_reference:
+        raise ConfigurationError(
+            f"Attacks on a callable start from the reference detectors, which see "
+            f"{REFERENCE_GSD_M} m per pixel, got {its.gsd_m:g}; give it images of "
+            f"{REFERENCE_GSD_M} m and resize them in the function."
+        )
+    return its
+
+
+def _refuse_what_scenes_cannot_show(requirement: Requirement, scenes: int) -> None:
+    """Refuses a requirement that needs more tiles than there are test scenes."""
+    needed = fewest_tiles(requirement.reject, requirement.consumer_risk)
+    if needed >= scenes:
+        raise ConfigurationError(
+            f"To accept a detector at --reject {requirement.reject:g} with --consumer-risk "
+            f"{requirement.consumer_risk:g} takes {needed} test tiles at least, and the suite has "
+            f"{scenes} scenes, which do not all stand on tiles of their own; ask for a larger "
+            "share or a larger risk."
+        )
+
+
+def checked_object(
+    detector: object, name: str | None, vehicle_classes: Sequence[str], architecture: str | None
+) -> BlackBoxDetector:
+    """Returns a Python object as a detector of which only the answers are known, and checked."""
+    of_files = {"architecture": architecture, "vehicle_classes": vehicle_classes}
+    if is_maite_model(detector):
+        del of_files["vehicle_classes"]
+        detector = ModelDetector(detector, vehicle_classes=vehicle_classes)
+    for option, value in of_files.items():
+        if value:
+            raise ConfigurationError(
+                f"{option} is for checkpoint files, and the detector is an object, which decides "
+                "it itself; leave the option out."
+            )
+    return BlackBoxDetector(detector, name)
+
+
+def _digest(path: Path) -> str:
+    """The SHA-256 of a checkpoint, a detector card, or labels, so that a new file is noticed."""
+    total = hashlib.sha256()
+    for file in _files(path):
+        total.update(f"{file.name} {file_digest(file)}\n".encode())
+    return total.hexdigest()
+
+
+def _files(path: Path) -> list[Path]:
+    if (path / "detector.json").is_file():
+        return [path / "detector.json"]
+    if path.is_dir():
+        return sorted(each for each in path.iterdir() if each.suffix.lower() in _READ)
+    if path.suffix.lower() == ".shp":
+        return [side for suffix in _SIDES if (side := path.with_suffix(suffix)).is_file()]
+    return [path]

@@ -57,10 +57,8 @@ class Suite:
     """One version of a suite.
 
     Attributes:
-        version: number of the version.
         attacks: optimised camouflages; a texture stands before the shape on it.
         settings: settings of all attacks, except for the steps.
-        steps: optimiser steps by kind of attack.
         draws: number of draws of every random control.
         best_of: number of random draws of a best-of-N control.
         queries: budget of query attacks on a black-box detector.
@@ -96,7 +94,6 @@ class Suite:
 
     @property
     def names(self) -> list[CamouflageName]:
-        """The attacks' names as values."""
         return [CamouflageName.parse(text) for text in self.attacks]
 
     def image_px(self, gsd_m: float) -> int:
@@ -113,10 +110,8 @@ class Suite:
 
     def chosen_controls(self, seed: int) -> dict[CamouflageName, AttackSettings]:
         """The controls that the detectors choose, with the steps of the longest attack."""
-        steps = {
-            name: self.steps.of(name) + (self.steps.texture if name.order == "seq" else 0)
-            for name in self.names
-        }
+        under = self.steps.texture
+        steps = {name: self.steps.of(name) + under * (name.order == "seq") for name in self.names}
         return {
             control: replace(self.settings, steps=count, seed=seed)
             for control, count in chosen_controls(steps).items()

@@ -181,13 +181,10 @@ class _Run:
                 facts["hidden_half_way"] = self.held_out.measure(half_way).hidden
         if settings.keep_at:
             self._snapshot("relaxed", finalise=False)
-        before = _losses(camouflage, self.detectors, self.world, settings)
+        rounding = {"before": self._mean_losses()}
         camouflage.finalise()
-        after = _losses(camouflage, self.detectors, self.world, settings)
-        recorded = {
-            "weights": facts["weights"],
-            "discretisation": {"before": _means(before), "after": _means(after)},
-        }
+        rounding["after"] = self._mean_losses()
+        recorded = {"weights": facts["weights"], "discretisation": rounding}
         if self.held_out is not None and "hidden_half_way" in facts:
             # Half-way the learning rate is still high, so less is hidden than by an attack of so
             # many steps.
@@ -225,6 +222,10 @@ class _Run:
         schedule.step()
         return now, images
 
+    def _mean_losses(self) -> dict[str, float]:
+        losses = _losses(self.camouflage, self.detectors, self.world, self.settings)
+        return {name: statistics.fmean(values) for name, values in losses.items()}
+
     def _snapshot(self, variant: str, *, finalise: bool) -> None:
         """Stores a copy under a name of its own: "T-U_step10-0" is "T-U-0" after 10 steps."""
         copied = copy.deepcopy(self.camouflage)
@@ -238,9 +239,7 @@ class _Run:
 def attack_weights(
     detectors: Sequence[TrainableDetector], world: World, settings: AttackSettings
 ) -> dict[str, float]:
-    """Gives the weights that make every detector's term 1 without camouflage; errors as in
-    `attack`.
-    """
+    """Gives the weights that make every detector's term 1 without camouflage."""
     return balanced_weights(_losses(None, detectors, world, settings))
 
 
@@ -306,10 +305,6 @@ def _losses(
                     "where nothing is detected, and never below."
                 )
     return means
-
-
-def _means(losses: Mapping[str, Sequence[float]]) -> dict[str, float]:
-    return {name: statistics.fmean(values) for name, values in losses.items()}
 
 
 def _write_preview(path: Path, images: Float[Tensor, "B 3 H W"]) -> None:

@@ -1,6 +1,7 @@
 """Scenes that no step of an attack sees, and how many of their vehicles a camouflage hides."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -33,49 +34,34 @@ class Hidden(NamedTuple):
     silence: float
 
 
+@dataclass(eq=False)
 class HeldOut:
     """Eight batches of an attack's scenes, one vehicle each, that no step of it sees.
 
-    They share ground and vehicles with the attack, so they guide it and are no result.
-
-    Args:
-        detectors: with their thresholds, on the device to work on.
-        world: world of the attack.
-        seed: seed of the attack.
-        batch_size: scenes per batch, which may exceed the attack's.
+    They share ground and vehicles with the attack, so they guide it and are no result. Detectors
+    are on the device to work on, `batch_size` may exceed the attack's.
     """
 
-    def __init__(
-        self,
-        detectors: Sequence[Detector],
-        world: World,
-        seed: int,
-        batch_size: int = BATCH_SIZE,
-    ) -> None:
-        self._detectors = detectors
-        self._world = world
-        self._seed = seed
-        self._batch_size = batch_size
+    detectors: Sequence[Detector]
+    world: World
+    seed: int
+    batch_size: int
 
     @cached_property
     def identity(self) -> dict[str, Any]:
         """By detector the digest of its weights, if it has any, and its threshold."""
-        return {each.name: [each.weights_sha256, each.threshold] for each in self._detectors}
+        return {each.name: [each.weights_sha256, each.threshold] for each in self.detectors}
 
     def scenes(self, batches: int = BATCHES) -> int:
-        """Returns the number of scenes in so many batches."""
-        return batches * self._batch_size
+        """The number of scenes in so many batches."""
+        return batches * self.batch_size
 
     @torch.no_grad()
     def measure(self, camouflage: Camouflage, batches: int = BATCHES) -> Hidden:
-        """Measures how much a camouflage hides on the first batches.
-
-        Raises:
-            ConfigurationError: a detector finds no vehicle in any scene without camouflage.
-        """
+        """Measures how much a camouflage hides on the first batches."""
         scores = self._scores(camouflage, batches)
         left = []
-        for each in self._detectors:
+        for each in self.detectors:
             before = int(self._found[each.name][: self.scenes(batches)].sum())
             after = int((scores[each.name] >= each.threshold).sum())
             # In few scenes a detector may find nothing before: then nothing is hidden from it.
@@ -87,7 +73,7 @@ class HeldOut:
     def _found(self) -> dict[str, Bool[Tensor, " scenes"]]:
         """Whether each detector finds each vehicle without camouflage."""
         scores = self._scores(None, BATCHES)
-        found = {each.name: scores[each.name] >= each.threshold for each in self._detectors}
+        found = {each.name: scores[each.name] >= each.threshold for each in self.detectors}
         for name, vehicles in found.items():
             if not vehicles.any():
                 raise ConfigurationError(
@@ -100,17 +86,17 @@ class HeldOut:
     @cached_property
     def _batches(self) -> list[list[Scene]]:
         steps = range(BATCHES)
-        return [self._world.step_scenes(self._batch_size, self._seed, -step) for step in steps]
+        return [self.world.step_scenes(self.batch_size, self.seed, -step) for step in steps]
 
     def _scores(
         self, camouflage: Camouflage | None, batches: int
     ) -> dict[str, Float[Tensor, " scenes"]]:
         """Each detector's best score on the vehicle of every scene."""
-        device = device_of(self._detectors[0])
-        gsd_m = self._world.backgrounds.gsd_m
-        scores: dict[str, list[Tensor]] = {each.name: [] for each in self._detectors}
+        device = device_of(self.detectors[0])
+        gsd_m = self.world.backgrounds.gsd_m
+        scores: dict[str, list[Tensor]] = {each.name: [] for each in self.detectors}
         for scenes in self._batches[:batches]:
-            frames = self._world.frames(camouflage, scenes, device)
-            for each in self._detectors:
+            frames = self.world.frames(camouflage, scenes, device)
+            for each in self.detectors:
                 scores[each.name].append(target_scores(each, frames, gsd_m))
         return {name: torch.cat(parts) for name, parts in scores.items()}

@@ -24,13 +24,12 @@ from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.folder import read_record, save_camouflage
 from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.settings import CamouflageSettings
+from skyproof.console import progress_bar
 from skyproof.detectors.detector import Detector, TrainableDetector
 from skyproof.files import drop_empty_folder, finished_folder
 from skyproof.loop import refuse_other
 from skyproof.randomness import generator_of
 from skyproof.storage import weights_digest
-
-Progress = Callable[[int, int], None]
 
 
 def draw_random_control(
@@ -45,9 +44,6 @@ def draw_random_control(
     """Draws a random control, such as "R-PixFc-3", into a folder of its own (section 5.4).
 
     Arguments are those of `make_camouflage`.
-
-    Raises:
-        RunFolderError: the folder holds a control that was drawn otherwise.
     """
     settings = settings or CamouflageSettings()
     drawn = {
@@ -71,8 +67,6 @@ class Maker:
 
     Attributes:
         detectors: attacked together, on `device`.
-        world: world of the attack.
-        settings: steps, batch, learning rate, seed.
         device: where camouflages are drawn and optimised.
         palette: colours of Fc, and those from which Lc and Pix start.
         camouflage: numbers that the names leave open.
@@ -86,33 +80,22 @@ class Maker:
     camouflage: CamouflageSettings = field(default_factory=CamouflageSettings)
 
     def make(
-        self,
-        name: CamouflageName,
-        folder: Path,
-        *,
-        draws: int,
-        texture: Camouflage | None = None,
-        progress: Progress | None = None,
+        self, name: CamouflageName, folder: Path, *, draws: int, texture: Camouflage | None
     ) -> None:
         """Chooses a plain-paint or best-of-N control, and optimises every other camouflage.
 
-        Args:
-            name: camouflage or control.
-            folder: folder for it alone.
-            draws: number of random draws of a best-of-N control.
-            texture: finished texture under the shape of a sequential combination.
-            progress: called with (candidates or steps done, in all).
-
-        Raises:
-            RunFolderError: the folder holds a camouflage that was made otherwise.
+        `draws` is the number of random draws of a best-of-N control, `texture` the finished one
+        under the shape of a sequential combination. A progress bar is shown.
         """
         if name.has_candidates:
-            self._choose(name, folder, draws, progress)
+            with progress_bar(f"choose {name}") as update:
+                self._choose(name, folder, draws, update)
         else:
-            self._optimise(name, folder, texture, progress)
+            with progress_bar(f"attack {name}") as update:
+                self._optimise(name, folder, texture, update)
 
     def _choose(
-        self, name: CamouflageName, folder: Path, draws: int, progress: Progress | None
+        self, name: CamouflageName, folder: Path, draws: int, progress: Callable[[int, int], None]
     ) -> None:
         seed, scenes = self.settings.seed, self._held_out
         by = {
@@ -141,7 +124,7 @@ class Maker:
         name: CamouflageName,
         folder: Path,
         texture: Camouflage | None,
-        progress: Progress | None,
+        progress: Callable[[int, int], None],
     ) -> None:
         """Attacks the detectors after a sign test of the gradient, or searches without one."""
         camouflage = make.make_camouflage(
@@ -155,13 +138,7 @@ class Maker:
         settings = self.settings.of_search() if name.random else self.settings
 
         def signs() -> dict[str, Any]:
-            if name.random:
-                return {}
             return {"sign_test": sign_test(camouflage, models, self.world, settings)}
-
-        def show(row: dict[str, Any]) -> None:
-            if progress:
-                progress(row["step"], settings.steps)
 
         attack(
             camouflage,
@@ -170,8 +147,8 @@ class Maker:
             settings,
             folder,
             held_out=self._held_out,
-            record=signs,
-            on_step=show,
+            record=None if name.random else signs,
+            on_step=lambda row: progress(row["step"], settings.steps),
         )
 
     @cached_property

@@ -21,8 +21,7 @@ OBJECTIVE = f"sum over detectors, mean over images: log(weight * loss + {_FOOLED
 
 
 class Objective(NamedTuple):
-    """The value of the objective (below zero if detectors are fooled), and each detector's mean
-    loss without its weight, by name."""
+    """The objective (below zero if detectors are fooled), and each detector's mean plain loss."""
 
     loss: float
     losses: dict[str, float]
@@ -92,10 +91,9 @@ def balanced_weights(losses: Mapping[str, Sequence[float]]) -> dict[str, float]:
 
 @torch.no_grad()
 def target_scores(detector: Detector, frames: Frames, gsd_m: float) -> Float[Tensor, " B"]:
-    """Gives the highest score of a candidate near the image's one vehicle; 0 without one.
+    """Gives the highest score of a candidate within 1 m of the image's one vehicle; 0 without one.
 
-    The centre of a near candidate lies within 1 m of the vehicle's. The candidates of a black-box
-    detector are its detections.
+    The candidates of a black-box detector are its detections.
     """
     candidates = _candidates(detector, frames.image.detach())
     centres = (frames.boxes[:, :2] + frames.boxes[:, 2:]) / 2
@@ -121,11 +119,7 @@ def _candidates(detector: Detector, images: Float[Tensor, "B 3 H W"]) -> Candida
 
 @contextmanager
 def frozen(detectors: Sequence[TrainableDetector]) -> Iterator[None]:
-    """Holds detectors in evaluation mode and without weight gradients.
-
-    Raises:
-        RuntimeError: a weight or buffer changed, so the attack is not on the stored detector.
-    """
+    """Holds detectors in evaluation mode and without weight gradients, and checks their weights."""
     before = [weights_digest(detector) for detector in detectors]
     for detector in detectors:
         detector.eval().requires_grad_(False)

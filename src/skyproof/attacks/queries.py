@@ -40,8 +40,6 @@ from skyproof.storage import weights_digest
 _OTHER = "a search with other settings or from another start"
 _SPREAD = 0.2
 """Standard deviation of the first candidates, whose values go from 0 to 1."""
-
-
 MOST_NUMBERS = 60
 
 # With as many images, 48 numbers (4 x 4 fields) found nothing better than their start, and 12 (4
@@ -54,9 +52,6 @@ class CoarseChange:
     """Offsets on bands across the cells of a texture (sRGB), or across the reach of a shape.
 
     The start is a finished camouflage and is not changed. In a combination, the shape moves.
-
-    Raises:
-        ConfigurationError: a camouflage of another kind, or of few colours.
     """
 
     def __init__(self, start: Camouflage) -> None:
@@ -65,11 +60,7 @@ class CoarseChange:
         # A shape has one value per place.
         channels, bands = (len(moved), _TEXTURE_BANDS) if moved.ndim == 3 else (1, _SHAPE_BANDS)
         self.shape = (channels, max(1, min(bands, MOST_NUMBERS // channels)))
-
-    @property
-    def count(self) -> int:
-        """The number of offsets."""
-        return math.prod(self.shape)
+        self.count = math.prod(self.shape)
 
     def __call__(self, numbers: Float[np.ndarray, " K"]) -> Camouflage:
         """Gives the finished camouflage of some offsets; zeros give the start."""
@@ -114,7 +105,6 @@ class _Evolution:
         self._proposed: list[np.ndarray] = []
 
     def propose(self) -> list[Camouflage]:
-        """Gives as many candidates as `candidates` says."""
         self._proposed = [self._strategy.ask() for _ in range(self.candidates)]
         return [self._change(numbers) for numbers in self._proposed]
 
@@ -146,12 +136,10 @@ class _RandomChanges:
         return [self._camouflage, self._other]
 
     def learn(self, scores: Sequence[float]) -> None:
-        """Takes the mean scores of both."""
         if scores[1] < scores[0]:
             self._camouflage = self._other
 
     def best(self) -> Camouflage:
-        """Gives a copy of the camouflage with all changes that were kept."""
         return copy.deepcopy(self._camouflage)
 
 
@@ -252,8 +240,7 @@ def query_attack(
         found.name = start.name
         queries: dict[str, Any] = {**identity, "images": total}
         if compared:
-            before = held_out.measure(start)
-            after = held_out.measure(found)
+            before, after = map(held_out.measure, (start, found))
             queries["judged"] = {
                 "scenes": held_out.scenes(),
                 "start_hides": before.hidden,

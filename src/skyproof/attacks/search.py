@@ -27,30 +27,17 @@ _FINALISTS = 4
 def choose(
     candidates: Sequence[Camouflage],
     held_out: HeldOut,
-    *,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], None],
 ) -> tuple[Camouflage, dict[str, Any]]:
     """Chooses the camouflage that hides most vehicles on held-out scenes, mean over detectors.
 
     All are tried on a quarter of the scenes, and the best quarter of them on all scenes. Of equals
-    the one with the lower scores on its targets wins.
-
-    Args:
-        candidates: at least one, on the device to work on.
-        held_out: scenes and detectors.
-        progress: called with (candidates tried, candidates in all).
-
-    Returns:
-        The best candidate, and as JSON values the names of all ("of"), the EASR of each on the
-        first scenes ("hidden"), the EASR of the finalists by name, and both numbers of scenes.
-
-    Raises:
-        ConfigurationError: a detector finds no vehicle in these scenes.
+    the one with the lower scores on its targets wins. `progress` is called with (candidates tried,
+    candidates in all). Returns the best candidate, and the choice as JSON values.
     """
     first = []
     for number, candidate in enumerate(candidates):
-        if progress is not None:
-            progress(number, len(candidates))
+        progress(number, len(candidates))
         first.append(held_out.measure(candidate, _FIRST_BATCHES))
     ranked = sorted(range(len(candidates)), key=lambda number: first[number], reverse=True)
     finalists = ranked[: math.ceil(len(candidates) / _FINALISTS)]
@@ -77,10 +64,7 @@ def search_step(
     """Tries one random change of a finished camouflage, and keeps it if the objective is lower.
 
     Both are tried on the same half of a batch, so that a search has as many forward passes as an
-    attack of as many steps.
-
-    Returns:
-        The objective with the kept camouflage, and its images.
+    attack of as many steps. Returns the objective with the kept camouflage, and its images.
     """
     scenes = world.step_scenes(max(1, settings.batch_size // 2), settings.seed, step)
     other = copy.deepcopy(camouflage)

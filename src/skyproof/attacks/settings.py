@@ -55,13 +55,9 @@ class AttackSettings:
             )
 
     def images(self, name: CamouflageName, best_of: int) -> float:
-        """Returns the number of images that making a camouflage takes, per detector.
+        """The images per detector that an attack or a chosen control takes.
 
-        An image without gradient counts as 0.4.
-
-        Args:
-            name: attack, or control that is chosen.
-            best_of: number of random draws of a best-of-N control.
+        `best_of` is the number of random draws. An image without gradient counts as 0.4.
         """
         if name.has_candidates:
             candidates = best_of if name.choice == "best" else _PLAIN_PAINTS
@@ -69,7 +65,7 @@ class AttackSettings:
         return self.steps * self.batch_size * (_WITHOUT_GRADIENT if name.choice else 1.0)
 
     def of_search(self) -> AttackSettings:
-        """Returns the settings of a random search: as many images, in steps of more.
+        """The settings of a random search: as many images, in steps of more.
 
         A step along the gradient of few images is right on average, but a search keeps for good
         what happens to help on few images.

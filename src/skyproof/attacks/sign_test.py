@@ -26,16 +26,8 @@ def sign_test(
     """Takes one step of the attack's own optimiser, and compares the scores on the step's vehicles.
 
     Every one of the `balance_batches` starts from the given camouflage, which is not changed, on
-    scenes that no step of the attack sees. Arguments are those of `attack`.
-
-    Returns:
-        Per detector the number of "scenes", the number in which the score "fell", the one-sided
-        exact "p" of so many by chance (binomial; unchanged scores have not fallen), and the
-        "mean_change".
-
-    Raises:
-        ConfigurationError: the camouflage has no parameter to optimise.
-        NotFiniteError: a score is not finite.
+    scenes that no step of the attack sees. "p" is the one-sided exact chance of so many fallen
+    scores (binomial; unchanged scores have not fallen).
     """
     before: dict[str, list[Tensor]] = {detector.name: [] for detector in detectors}
     after: dict[str, list[Tensor]] = {detector.name: [] for detector in detectors}

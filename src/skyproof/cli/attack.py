@@ -14,7 +14,7 @@ from tyro.conf import Suppress
 from skyproof.attacks.settings import AttackSettings
 from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.settings import CamouflageSettings
-from skyproof.console import progress_bar, say
+from skyproof.console import say
 from skyproof.errors import ConfigurationError
 from skyproof.scenes.places import Places
 from skyproof.scenes.settings import SceneSettings
@@ -165,8 +165,5 @@ class Attack:
         ensemble = load_ensemble(self.detectors, device, world.backgrounds.gsd_m)
         maker = Maker(ensemble, world, self.settings, device, palette, self.camouflage)
         for name in names:
-            folder = self.out / str(name)
-            verb = "choose" if name.has_candidates else "attack"
             texture = self._finished_texture()
-            with progress_bar(f"{verb} {name}") as update:
-                maker.make(name, folder, draws=self.draws, texture=texture, progress=update)
+            maker.make(name, self.out / str(name), draws=self.draws, texture=texture)

@@ -11,6 +11,7 @@ import tyro
 from msgspec import Meta
 from tyro.conf import Suppress
 
+from skyproof.cli.render import sampled_scenes
 from skyproof.console import progress_bar, say
 from skyproof.errors import ConfigurationError, RunFolderError
 from skyproof.ranges import Count, Seed
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     import torch
 
     from skyproof.detectors.detector import Detector
-    from skyproof.measure.baseline import BaselineSet
+    from skyproof.measure.precheck import PrecheckScenes
     from skyproof.results.precheck import MeasuredOn, PrecheckRecord
     from skyproof.scenes.backgrounds import BackgroundSet
     from skyproof.scenes.scene import Scene
@@ -65,11 +66,7 @@ class Precheck:
     device: str = "auto"
 
     def run(self, loaded: Sequence[Detector] = ()) -> None:
-        """Checks the detectors, stores the results beside their cards, and prints them.
-
-        Args:
-            loaded: the detectors of the folders, if they are loaded already.
-        """
+        """Checks the detectors (`loaded` already or not), stores the results and prints them."""
         if not self.detectors:
             raise ConfigurationError("A precheck expects at least one detector folder, got none.")
         if self.freeze is not None:
@@ -82,6 +79,7 @@ class Precheck:
         from skyproof.detectors.card import read_card
         from skyproof.device import choose_device
         from skyproof.measure.frames import read_frames
+        from skyproof.measure.precheck import PrecheckScenes
         from skyproof.measure.precheck_words import lines
         from skyproof.scenes.backgrounds import BackgroundSet
         from skyproof.vehicles.fleet import Fleet
@@ -91,51 +89,34 @@ class Precheck:
         fleet = Fleet.load(self.fleet)
         scenes = self._scenes(backgrounds, fleet)
         frames = read_frames(self.frames, self.frame_classes, backgrounds.gsd_m)
-        records = self._checked(device, backgrounds, fleet, scenes, frames, loaded)
-        for folder, record in zip(self.detectors, records, strict=True):
-            for line in lines(record, read_card(folder).doubts):
+        data = PrecheckScenes(backgrounds, fleet, scenes, self.draws, frames, self.seed)
+        records = self._checked(data, device, loaded)
+        for folder in self.detectors:
+            for line in lines(records[folder], read_card(folder).doubts):
                 say(line)
 
     def _scenes(self, backgrounds: BackgroundSet, fleet: Fleet) -> list[Scene]:
         """The scenes of the file, or drawn ones."""
         from skyproof.detectors.card import read_card
-        from skyproof.randomness import generator_of
-        from skyproof.scenes.sampling import sample_scenes
         from skyproof.scenes.scene import read_scenes
         from skyproof.scenes.settings import SceneSettings
 
         if self.scenes is not None:
             return read_scenes(self.scenes)[: self.scenes_count]
         size_px = self.image_px or min(read_card(self.detectors[0]).image_size_px)
-        return sample_scenes(
-            SceneSettings(size_px=size_px),
-            backgrounds,
-            "test",
-            fleet.sizes_m,
-            self.scenes_count,
-            generator=generator_of(self.seed, "scenes", "check"),
-            prefix="check",
-        )
+        usual, count = SceneSettings(size_px=size_px), self.scenes_count
+        return sampled_scenes(usual, backgrounds, fleet, "test", count, self.seed, name="check")
 
     def _checked(
-        self,
-        device: torch.device,
-        backgrounds: BackgroundSet,
-        fleet: Fleet,
-        scenes: Sequence[Scene],
-        frames: Sequence[BaselineSet],
-        loaded: Sequence[Detector],
-    ) -> list[PrecheckRecord]:
-        """The records of all detectors, stored or new."""
+        self, data: PrecheckScenes, device: torch.device, loaded: Sequence[Detector]
+    ) -> dict[Path, PrecheckRecord]:
+        """The records of all detectors by their folders, stored or new."""
         from skyproof.detectors.loaded import load_ensemble
-        from skyproof.measure.precheck import measured_on, precheck
+        from skyproof.measure.precheck import precheck
         from skyproof.results.precheck import PRECHECK_FILE, write_precheck
 
-        wanted = measured_on(
-            backgrounds, fleet, scenes, draws=self.draws, seed=self.seed, frames=frames
-        )
         records = {
-            folder: _known(folder, wanted)
+            folder: _known(folder, data.measured_on)
             for folder in self.detectors
             if (folder / PRECHECK_FILE).exists()
         }
@@ -143,25 +124,14 @@ class Precheck:
         if open_ones:
             given = zip(self.detectors, loaded, strict=False)
             detectors = [detector for folder, detector in given if folder in open_ones]
-            detectors = detectors or [
-                *load_ensemble(open_ones, device, backgrounds.gsd_m, apart=True)
-            ]
+            gsd_m = data.backgrounds.gsd_m
+            detectors = detectors or [*load_ensemble(open_ones, device, gsd_m, apart=True)]
             with progress_bar("precheck") as update:
-                made = precheck(
-                    detectors,
-                    backgrounds,
-                    fleet,
-                    scenes,
-                    draws=self.draws,
-                    frames=frames,
-                    seed=self.seed,
-                    device=device,
-                    progress=update,
-                )
+                made = precheck(detectors, data, device=device, progress=update)
             for folder, record in zip(open_ones, made, strict=True):
                 write_precheck(folder, record)
                 records[folder] = record
-        return [records[folder] for folder in self.detectors]
+        return records
 
     def _freeze(self, out: Path) -> None:
         """Writes a copy of a detector with another frozen threshold."""
@@ -183,11 +153,7 @@ class Precheck:
 
 
 def _known(folder: Path, wanted: MeasuredOn) -> PrecheckRecord:
-    """The stored record of a detector.
-
-    Raises:
-        RunFolderError: it belongs to another detector, or to other scenes and images.
-    """
+    """The stored record of a detector; one of other weights, scenes or images is refused."""
     from skyproof.detectors.card import read_card
     from skyproof.results.precheck import PRECHECK_FILE, read_precheck
 

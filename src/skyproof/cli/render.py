@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Literal
 from skyproof.console import progress_bar, say
 from skyproof.cycles.settings import Rendering
 from skyproof.errors import ConfigurationError
+from skyproof.files import new_file
 from skyproof.ranges import Count, Seed
 from skyproof.scenes.settings import SceneSettings
+from skyproof.scenes.splits import Split
 
 if TYPE_CHECKING:
     from skyproof.scenes.backgrounds import BackgroundSet
@@ -49,7 +51,7 @@ class Render(Rendering):
     backgrounds: Path
     fleet: Path
     out: Path
-    split: Literal["train", "validation", "attack", "test"] = "test"
+    split: Split = "test"
     count: Count = 120
     settings: SceneSettings = field(default_factory=usual_scenes)
     seed: Seed = 0
@@ -58,11 +60,7 @@ class Render(Rendering):
     device: str = "auto"
 
     def run(self) -> None:
-        """Renders the dataset.
-
-        Raises:
-            ConfigurationError: a scene file, and options of sampled scenes beside it.
-        """
+        """Renders the dataset."""
         from skyproof.camouflage.folder import load_camouflage
         from skyproof.cycles.opening import open_renderer
         from skyproof.device import choose_device
@@ -100,18 +98,52 @@ class Render(Rendering):
             )
 
     def _scenes(self, backgrounds: BackgroundSet, fleet: Fleet) -> Sequence[Scene]:
-        from skyproof.randomness import generator_of
-        from skyproof.scenes.sampling import sample_scenes
         from skyproof.scenes.scene import read_scenes
 
         if self.scenes is not None:
             return read_scenes(self.scenes)
-        return sample_scenes(
-            self.settings,
-            backgrounds,
-            self.split,
-            fleet.sizes_m,
-            self.count,
-            generator=generator_of(self.seed, "scenes", self.split),
-            prefix=self.split,
-        )
+        count, seed = self.count, self.seed
+        return sampled_scenes(self.settings, backgrounds, fleet, self.split, count, seed)
+
+
+def sampled_scenes(
+    settings: SceneSettings,
+    backgrounds: BackgroundSet,
+    fleet: Fleet,
+    split: Split,
+    count: int,
+    seed: int,
+    *,
+    name: str | None = None,
+) -> list[Scene]:
+    """Samples scenes on a split's ground; their ids begin with `name`, or else with the split."""
+    from skyproof.randomness import generator_of
+    from skyproof.scenes.sampling import sample_scenes
+
+    name = name or split
+    generator = generator_of(seed, "scenes", name)
+    sizes_m = fleet.sizes_m
+    return sample_scenes(
+        settings, backgrounds, split, sizes_m, count, generator=generator, prefix=name
+    )
+
+
+def draw_scenes(
+    *,
+    backgrounds: Path,
+    fleet: Path,
+    out: Path,
+    split: Split,
+    count: int,
+    settings: SceneSettings,
+    seed: int,
+) -> None:
+    """Samples scenes on a split's ground, and writes them as JSON lines."""
+    from skyproof.scenes.backgrounds import BackgroundSet
+    from skyproof.scenes.scene import write_scenes
+    from skyproof.vehicles.fleet import Fleet
+
+    with new_file(out):
+        ground, vehicles = BackgroundSet.open(backgrounds), Fleet.load(fleet)
+        write_scenes(out, sampled_scenes(settings, ground, vehicles, split, count, seed))
+    say(f"Scenes: {out.resolve()}")

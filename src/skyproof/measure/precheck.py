@@ -2,6 +2,8 @@
 
 import hashlib
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import msgspec
@@ -40,47 +42,66 @@ CONTROLS = ("R-U", "R-Pix", "R-Fc", "R-PixFc", "R-Lc", "R-S-O@0.4")
 SUN_ELEVATIONS_DEG = (10.0, 25.0, 45.0, 65.0)
 
 
+@dataclass(frozen=True)
+class PrecheckScenes:
+    """What detectors are prechecked on.
+
+    Attributes:
+        backgrounds: ground of the scenes; the fixed colours of Fc come from its attack split.
+        scenes: scenes of one image size and of the detectors' resolution.
+        draws: number of draws of every random control.
+        frames: annotated photographs for further baselines.
+        seed: seed of random controls and of the bootstrap.
+    """
+
+    backgrounds: BackgroundSet
+    fleet: Fleet
+    scenes: Sequence[Scene]
+    draws: int
+    frames: Sequence[BaselineSet]
+    seed: int
+
+    @cached_property
+    def measured_on(self) -> MeasuredOn:
+        """The identity of the data; two prechecks that agree in it measured the same."""
+        names = dict.fromkeys(scene.background.tile for scene in self.scenes)
+        tiles = [self.backgrounds.tile(name) for name in names]
+        return MeasuredOn(
+            scenes=len(self.scenes),
+            scenes_sha256=scenes_digest(self.scenes),
+            sources=tuple(dict.fromkeys(tile.source for tile in tiles)),
+            draws=self.draws,
+            seed=self.seed,
+            frames=tuple(each.name for each in self.frames),
+            frames_sha256=tuple(_digest(each.images.digest, each.note) for each in self.frames),
+            ground_sha256=_digest(self.backgrounds.gsd_m, tiles),
+            fleet_sha256=_digest(self.fleet.sizes_m),
+        )
+
+
 def precheck(
     detectors: Sequence[Detector],
-    backgrounds: BackgroundSet,
-    fleet: Fleet,
-    scenes: Sequence[Scene],
+    data: PrecheckScenes,
     *,
-    draws: int = 5,
-    frames: Sequence[BaselineSet] = (),
-    seed: int = 0,
-    device: torch.device | str = "cpu",
+    device: torch.device,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[PrecheckRecord]:
     """Measures what plain changes hide from every detector, and its baselines.
 
     The scenes are rendered as they are, then once under each change: 27 plain paints on body panels
     and 27 on the whole vehicle, eight two-tone paints, four sharpnesses, six random controls, four
-    suns. Rates are by centres within 1 m at the frozen threshold. Nothing is written.
-
-    Args:
-        backgrounds: ground of the scenes; the fixed colours of Fc come from its attack split.
-        scenes: scenes of one image size and of the detectors' resolution.
-        draws: number of draws of every random control.
-        frames: annotated photographs for further baselines.
-        seed: seed of random controls and of the bootstrap.
-        progress: called with (images done, images in all).
-
-    Returns:
-        One record per detector; `skyproof.results.findings` judges it.
-
-    Raises:
-        ConfigurationError: as `views`, or frames without labels.
-        StoredFileError: a tile or a frame is missing or damaged.
+    suns. Rates are by centres within 1 m at the frozen threshold. Nothing is written. `progress` is
+    called with (images done, images in all). `skyproof.results.findings` judges the records.
     """
-    for each in frames:
+    scenes, seed = data.scenes, data.seed
+    for each in data.frames:
         if not sum(map(len, each.images.boxes)):
             raise ConfigurationError(
                 f"{each.name} has no labelled vehicles, so nothing says what a detector misses "
                 "there; give frames with labels, or leave them out."
             )
-    changes = precheck_changes(ground_palette(backgrounds), draws=draws, seed=seed)
-    stage = SceneRenderer(fleet, TorchRenderer(backgrounds), device)
+    changes = precheck_changes(ground_palette(data.backgrounds), draws=data.draws, seed=seed)
+    stage = SceneRenderer(data.fleet, TorchRenderer(data.backgrounds), device)
     count = counter(progress, len(scenes) * (1 + len(changes)))
     seen = views(detectors, scenes, changes, stage, progress=count)
     before = next(seen)
@@ -92,16 +113,15 @@ def precheck(
         places=[scene.background.tile for scene in scenes],
     )
     baselines = measure_baselines(detectors, rendered, before, seed=seed)
-    for each in frames:
+    for each in data.frames:
         baselines += measure_baselines(detectors, each, seed=seed)
     rates = _rates(detectors, scenes, changes, before, seen, seed)
-    on = measured_on(backgrounds, fleet, scenes, draws=draws, seed=seed, frames=frames)
     return [
         PrecheckRecord(
             each.name,
             each.weights_sha256,
             each.threshold,
-            on,
+            data.measured_on,
             [baseline for baseline in baselines if baseline.detector == each.name],
             rates[each.name],
         )
@@ -110,11 +130,7 @@ def precheck(
 
 
 def precheck_changes(palette: Float[Tensor, "K 3"], *, draws: int, seed: int) -> list[SceneChange]:
-    """Makes all changes of a precheck.
-
-    `palette` gives the fixed colours of R-Fc and R-PixFc as sRGB in [0, 1]; `seed` decides the
-    `draws` of every random control.
-    """
+    """Makes all changes of a precheck; `palette` gives the fixed colours as sRGB in [0, 1]."""
     kinds: tuple[tuple[Kind, bool], ...] = (("paint_body", True), ("paint_whole", False))
     changes = [
         SceneChange(_hex(colour), plain_paint(colour, masked=masked), kind=kind)
@@ -158,13 +174,7 @@ def _rates(
     seed: int,
 ) -> dict[str, list[Rate]]:
     """The rates by detector; the draws of one control are averaged and taken as given."""
-    cells = sorted(
-        {
-            (scene.background.tile, placement.vehicle)
-            for scene in scenes
-            for placement in scene.placements
-        }
-    )
+    cells = sorted({(s.background.tile, each.vehicle) for s in scenes for each in s.placements})
     row_of = {cell: row for row, cell in enumerate(cells)}
     sample = Sample.draw(cells, generator=numpy_generator(seed))
     counts: dict[tuple[str, Any, str], list[np.ndarray]] = {}
@@ -178,30 +188,6 @@ def _rates(
         easr = mean_interval(Group(np.stack(drawn), sample))
         rates[detector].append(Rate(kind, name, len(drawn), easr))
     return rates
-
-
-def measured_on(
-    backgrounds: BackgroundSet,
-    fleet: Fleet,
-    scenes: Sequence[Scene],
-    *,
-    draws: int,
-    seed: int,
-    frames: Sequence[BaselineSet] = (),
-) -> MeasuredOn:
-    """Identifies the data of a precheck; two that agree in it measured the same."""
-    tiles = [backgrounds.tile(name) for name in {s.background.tile: None for s in scenes}]
-    return MeasuredOn(
-        scenes=len(scenes),
-        scenes_sha256=scenes_digest(scenes),
-        sources=tuple(dict.fromkeys(tile.source for tile in tiles)),
-        draws=draws,
-        seed=seed,
-        frames=tuple(each.name for each in frames),
-        frames_sha256=tuple(_digest(each.images.digest, each.note) for each in frames),
-        ground_sha256=_digest(backgrounds.gsd_m, tiles),
-        fleet_sha256=_digest(fleet.sizes_m),
-    )
 
 
 def _digest(*values: Any) -> str:

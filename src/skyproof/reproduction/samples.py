@@ -1,23 +1,17 @@
 """Scenes of a split, and sheets of sample images: camouflages, and the sensor's steps."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from pathlib import Path
 
 import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from skyproof.console import say
-from skyproof.files import new_file
-from skyproof.randomness import generator_of
+from skyproof.cli.render import draw_scenes as draw_scenes
 from skyproof.render.dataset import placed_vehicles
 from skyproof.render.renderer import TorchRenderer
 from skyproof.render.settings import RenderSettings
 from skyproof.scenes.backgrounds import BackgroundSet
-from skyproof.scenes.sampling import sample_scenes
-from skyproof.scenes.scene import Scene, write_scenes
-from skyproof.scenes.settings import SceneSettings
-from skyproof.scenes.splits import Split
+from skyproof.scenes.scene import Scene
 from skyproof.vehicles.fleet import Fleet
 from skyproof.vehicles.vehicle import VehicleBatch
 
@@ -33,31 +27,6 @@ _STEPS = {
     "anti-aliasing": RenderSettings(blur_sigma_px=0.0),
     "anti-aliasing and blur": RenderSettings(),
 }
-
-
-def draw_scenes(
-    *,
-    backgrounds: Path,
-    fleet: Path,
-    out: Path,
-    split: Split,
-    count: int,
-    settings: SceneSettings,
-    seed: int,
-) -> None:
-    """Samples scenes on a split's ground, and writes them as JSON lines."""
-    with new_file(out):
-        scenes = sample_scenes(
-            settings,
-            BackgroundSet.open(backgrounds),
-            split,
-            Fleet.load(fleet).sizes_m,
-            count,
-            generator=generator_of(seed, "scenes", split),
-            prefix=split,
-        )
-        write_scenes(out, scenes)
-    say(f"Scenes: {out.resolve()}")
 
 
 @torch.no_grad()
