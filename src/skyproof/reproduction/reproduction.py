@@ -118,12 +118,6 @@ class Reproduction:
         path = self.layout.features
         return read_features(path) if path.exists() else []
 
-    @property
-    def hours(self) -> float | None:
-        """The hours that all stages took together; None where not known."""
-        seconds = [row.seconds for row in self.results.timings]
-        return sum(seconds) / 3600 if seconds else None
-
 
 def point_name(family: str, magnitude: float) -> str:
     """Says what stands at one point of a curve; at magnitude 0 it is the texture.

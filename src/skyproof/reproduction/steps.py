@@ -312,7 +312,7 @@ class Steps:
         return _function_step(
             "report",
             "report",
-            "report:write_paper_report",
+            "report:write_reproduction_report",
             {"out": run.folder},
             run.results,
             run.report,

@@ -31,7 +31,7 @@ from skyproof.reproduction.cells import (
 from skyproof.reproduction.layout import PaperLayout
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.results.merge import merge_scores
-from skyproof.results.pairs.counts import Cell, OutcomeCounts, Series
+from skyproof.results.pairs.counts import Cell, OutcomeCounts
 from skyproof.results.repeats import repeat_of
 from skyproof.results.result import MAIN_MATCH, MEAN
 from skyproof.results.results import RENDERER, Results
@@ -43,6 +43,56 @@ from skyproof.results.statistics.repeats import DRAWS, TRAININGS, Repeat
 from skyproof.results.statistics.sample import Sample
 from skyproof.results.stored import read_detectors
 from skyproof.words import detector_name
+
+_REMEDY = "put only trainings of one recipe on the same images into one run"
+
+
+class _Identity(Struct, frozen=True):
+    settings: dict[str, float] = {}
+
+
+class _Recipe(Struct, frozen=True):
+    """The part of a card's training by which trainings are compared."""
+
+    identity: _Identity = _Identity()
+    images: WholeNumber | None = None
+    data_sha256: Digest = ""
+    validation_sha256: Digest = ""
+
+    @classmethod
+    def of(cls, card: DetectorCard) -> _Recipe:
+        place = f"The card of {card.name}, training"
+        return check_document(card.training, cls, place, "copy the whole folder again")
+
+
+@dataclass(frozen=True)
+class _Training:
+    """Detectors of one training, and what the attacks on them came to.
+
+    Attributes:
+        number: 0 of the run's own, of which all its other results are; else the folder's in
+            `trainings/`.
+        cells: tiles and vehicles in sight.
+        counts: by camouflage and detector, outcomes as in `OutcomeCounts`.
+        cards: by name, what is recorded of the detectors.
+    """
+
+    number: int
+    cells: Sequence[Cell]
+    counts: Mapping[tuple[str, str], Int[np.ndarray, "N 4"]]
+    cards: Mapping[str, DetectorCard]
+
+    @classmethod
+    def of(cls, number: int, counts: OutcomeCounts, cards: Mapping[str, DetectorCard]) -> _Training:
+        here = counts.of(RENDERER, MAIN_MATCH)
+        series = {(key.camouflage, key.detector): each for key, each in here.series.items()}
+        return cls(number, here.cells, series, cards)
+
+    @property
+    def in_sight(self) -> list[tuple[Cell, int]]:
+        """How many vehicles stand in each cell, the same for all series."""
+        counts = next(iter(self.counts.values()))[:, 0].tolist()
+        return list(zip(self.cells, counts, strict=True))
 
 
 def trainings_part(run: Reproduction) -> Topic:
@@ -56,7 +106,8 @@ def trainings_part(run: Reproduction) -> Topic:
     trainings = read_trainings(run.results)
     if len(trainings) < 2:
         return Topic()
-    beside = _Trainings.of(trainings)
+    sample = Sample.draw(trainings[0].cells, generator=np.random.default_rng(0))
+    beside = _Trainings(trainings, sample)
     detectors = run.detectors
     labels = [(detector, [detector]) for detector in detectors]
     if len(detectors) > 1:
@@ -70,7 +121,7 @@ def trainings_part(run: Reproduction) -> Topic:
     return Topic([Table("trainings", rows)], _blocks(trainings, rows))
 
 
-def _blocks(trainings: Sequence[Training], rows: Sequence[Mapping[str, Any]]) -> list[Block]:
+def _blocks(trainings: Sequence[_Training], rows: Sequence[Mapping[str, Any]]) -> list[Block]:
     """Says how far trainings lie apart."""
     heading = Heading("Other trainings of the detectors")
     if not rows:
@@ -108,35 +159,17 @@ def _blocks(trainings: Sequence[Training], rows: Sequence[Mapping[str, Any]]) ->
 class _Trainings:
     """Trainings on one sample of tiles and vehicles."""
 
-    counts: Sequence[Mapping[Series, np.ndarray]]
-    numbers: Sequence[int]
+    each: Sequence[_Training]
     sample: Sample
-
-    @classmethod
-    def of(cls, trainings: Sequence[Training]) -> _Trainings:
-        cells = _shown(trainings[0])
-        every = []
-        for training in trainings:
-            place = {cell: row for row, cell in enumerate(training.tiles.cells)}
-            rows = [place[cell] for cell in cells]
-            every.append(
-                {
-                    key: counts[rows, 1:]
-                    for key, counts in training.tiles.series.items()
-                    if (key.renderer, key.match) == (RENDERER, MAIN_MATCH)
-                }
-            )
-        sample = Sample.draw(cells, generator=np.random.default_rng(0))
-        return cls(every, [training.number for training in trainings], sample)
 
     def shared(self, name: CamouflageName, detectors: Sequence[str]) -> list[str]:
         """Lists the repeats or draws of a camouflage that these detectors of all trainings saw."""
-        known = dict.fromkeys(key.camouflage for key in self.counts[0])
+        known = dict.fromkeys(camouflage for camouflage, _ in self.each[0].counts)
         return [
             camouflage
             for camouflage in known
             if CamouflageName.read(camouflage).pooled == name
-            and all(_key(camouflage, d) in counts for counts in self.counts for d in detectors)
+            and all((camouflage, d) in training.counts for training in self.each for d in detectors)
         ]
 
     def row(self, name: CamouflageName, label: str, detectors: Sequence[str]) -> dict[str, Any]:
@@ -149,7 +182,7 @@ class _Trainings:
         row: dict[str, Any] = {
             "attack": str(name),
             "detector": label,
-            "trainings": len(self.numbers),
+            "trainings": len(self.each),
             "seeds": len(repeats),
             **self._columns("easr", easr, rates.mean(axis=1)),
             "easr_seed_se": _seed_error(rates),
@@ -172,19 +205,20 @@ class _Trainings:
         """
         stack = []
         repeats: list[list[Repeat]] = []
-        for training, counts in zip(self.numbers, self.counts, strict=True):
+        for training in self.each:
             for camouflage in camouflages:
                 own = repeat_of(camouflage)
                 crossed = [own] if own.kind == DRAWS else []
                 for detector in detectors:
-                    stack.append(counts[_key(camouflage, detector)])
-                    repeats.append([*crossed, Repeat("detectors", str(training), TRAININGS)])
+                    stack.append(training.counts[camouflage, detector][:, 1:])
+                    again = Repeat("detectors", str(training.number), TRAININGS)
+                    repeats.append([*crossed, again])
         return Group(np.stack(stack), self.sample, repeats)
 
     def _rates(self, group: Group, repeats: int) -> Float[np.ndarray, "K R"]:
         """Gives EASR by training and repeat, mean over the detectors."""
         rates = overall_attack_success_rate(group.counts.sum(axis=1))
-        by_repeat: Float[np.ndarray, "K R"] = rates.reshape(len(self.numbers), repeats, -1).mean(
+        by_repeat: Float[np.ndarray, "K R"] = rates.reshape(len(self.each), repeats, -1).mean(
             axis=-1
         )
         return by_repeat
@@ -195,8 +229,8 @@ class _Trainings:
         errors = interval.errors
         return {
             **{
-                f"{name}_training_{each}": 100 * float(rate)
-                for each, rate in zip(self.numbers, rates, strict=True)
+                f"{name}_training_{training.number}": 100 * float(rate)
+                for training, rate in zip(self.each, rates, strict=True)
             },
             **interval_cells(name, interval, 100.0),
             f"{name}_training_sd": 100 * float(rates.std(ddof=1)),
@@ -204,18 +238,6 @@ class _Trainings:
             f"{name}_vehicle_se": _points(errors.get("vehicles")),
             f"{name}_training_se": _points(errors.get(TRAININGS.name)),
         }
-
-
-def _key(camouflage: str, detector: str) -> Series:
-    return Series(camouflage, RENDERER, detector, MAIN_MATCH)
-
-
-def _shown(training: Training) -> list[Cell]:
-    counts = [
-        counts[:, 0] for key, counts in training.tiles.series.items() if key.renderer == RENDERER
-    ]
-    seen = np.max(counts, axis=0) > 0
-    return [cell for cell, here in zip(training.tiles.cells, seen, strict=True) if here]
 
 
 def _seed_error(rates: Float[np.ndarray, "K R"]) -> float | None:
@@ -247,136 +269,102 @@ def _grid(
     )
 
 
-def _recipe(training: Training) -> str:
+def _recipe(training: _Training) -> str:
     """How long the detectors were trained, and on how much."""
     told = []
-    for name, facts in training.detectors.items():
-        steps = _training_of(facts).identity.settings.get("steps")
+    recipes = {name: _Recipe.of(card) for name, card in training.cards.items()}
+    for name, recipe in recipes.items():
+        steps = recipe.identity.settings.get("steps")
         if steps is not None:
             told.append(f"{detector_name(name)} {steps:,.0f} steps")
-    images = next((_training_of(facts).images for facts in training.detectors.values()), None)
+    images = next((recipe.images for recipe in recipes.values()), None)
     if images is not None:
         told.append(f"{images:,} images")
     return ", ".join(told) or "not recorded"
 
 
-def _standing(trainings: Sequence[Training]) -> str:
+def _standing(trainings: Sequence[_Training]) -> str:
     """What every training of a detector reached in validation."""
     told = []
-    for name in trainings[0].detectors:
-        facts = [training.detectors.get(name) for training in trainings]
-        scores = [None if each is None else each.validation.get("ap_centre_1m") for each in facts]
+    for name in trainings[0].cards:
+        cards = [training.cards.get(name) for training in trainings]
+        scores = [None if card is None else card.validation.get("ap_centre_1m") for card in cards]
         shown = [number(None if score is None else 100 * score) for score in scores]
         told.append(f"{detector_name(name)} {', '.join(shown)}")
     return "AP in validation, in percent: " + "; ".join(told)
 
 
-_REMEDY = "put only trainings of one recipe on the same images into one run"
-
-
-class _Identity(Struct, frozen=True):
-    settings: dict[str, float] = {}
-
-
-class _Recipe(Struct, frozen=True):
-    """The part of a card's training by which trainings are compared."""
-
-    identity: _Identity = _Identity()
-    images: WholeNumber | None = None
-    data_sha256: Digest = ""
-    validation_sha256: Digest = ""
-
-
-@dataclass(frozen=True)
-class Training:
-    """Detectors of one training, and what the attacks on them came to.
-
-    Attributes:
-        number: 0 of the run's own, of which all its other results are; else the folder's in
-            `trainings/`.
-        tiles: counts of what was scored by them.
-        detectors: by name, what is recorded of them.
-    """
-
-    number: int
-    tiles: OutcomeCounts
-    detectors: Mapping[str, DetectorCard]
-
-
-def read_trainings(results: Results) -> list[Training]:
+def read_trainings(results: Results) -> list[_Training]:
     """Gives the run's own training and, after it, the further ones that were scored.
 
     Raises:
         ConfigurationError: two trainings differ in data, recipe or test vehicles, or are the same.
         StoredFileError: a file is damaged.
     """
-    own = Training(0, results.counts, results.cards)
     layout = PaperLayout(results.folder)
     names = [path.name for path in layout.trainings.glob("*") if path.name.isdecimal()]
+    own = _Training.of(0, results.counts, results.cards)
     trainings = [own]
     for which in sorted(int(name) for name in names if name == str(int(name)) and int(name)):
         place = layout.training(which)
         # What is hidden is being made, or a kill left it.
         if not any(path.is_dir() for path in place.scores.glob("[!.]*")):
             continue
-        tiles, _ = merge_scores(ScoreFolder.all_of(place.folder))
-        trainings.append(Training(which, tiles, read_detectors(place.detectors)))
-    for training in trainings[1:]:
+        counts, _ = merge_scores(ScoreFolder.all_of(place.folder))
+        if RENDERER not in {key.renderer for key in counts.series}:
+            continue
+        training = _Training.of(which, counts, read_detectors(place.detectors))
         _refuse_other_vehicles(own, training)
+        trainings.append(training)
     for later, training in enumerate(trainings):
         for earlier in trainings[:later]:
             _refuse_other_data(earlier, training)
     return trainings
 
 
-def _refuse_other_vehicles(own: Training, training: Training) -> None:
-    if _in_sight(own.tiles) != _in_sight(training.tiles):
+def _refuse_other_vehicles(own: _Training, training: _Training) -> None:
+    if own.in_sight != training.in_sight:
         raise ConfigurationError(
             f"Training {training.number} was not scored on the vehicles and tiles of training "
             f"{own.number}; score both on the same scenes."
         )
-    detectors = [sorted({key.detector for key in each.tiles.series}) for each in (own, training)]
-    if detectors[0] != detectors[1]:
+    judges = [sorted({detector for _, detector in each.counts}) for each in (own, training)]
+    if judges[0] != judges[1]:
         raise ConfigurationError(
-            f"Training {training.number} was scored by {', '.join(detectors[1])}, but training "
-            f"{own.number} by {', '.join(detectors[0])}; train and score every detector as often."
+            f"Training {training.number} was scored by {', '.join(judges[1])}, but training "
+            f"{own.number} by {', '.join(judges[0])}; train and score every detector as often."
         )
 
 
-def _refuse_other_data(earlier: Training, training: Training) -> None:
+def _refuse_other_data(earlier: _Training, training: _Training) -> None:
     """Trainings of other data or another recipe would differ by more than chance."""
-    for name, facts in training.detectors.items():
-        before = earlier.detectors.get(name)
+    for name, card in training.cards.items():
+        before = earlier.cards.get(name)
         if before is None:
             continue
         which = f"Trainings {earlier.number} and {training.number} of {name}"
         known = _learnt_from(before)
-        for what, found in _learnt_from(facts).items():
+        for what, found in _learnt_from(card).items():
             if known[what] != found:
                 raise ConfigurationError(
                     f"{which} differ in their {what} ({_short(known[what])} and {_short(found)}), "
                     f"so that they do not show what chance alone does; {_REMEDY}."
                 )
-        if facts.weights_sha256 and facts.weights_sha256 == before.weights_sha256:
+        if card.weights_sha256 and card.weights_sha256 == before.weights_sha256:
             raise ConfigurationError(
                 f"{which} have the same weights, and so are one training; train again from "
                 "another seed, or leave one out."
             )
 
 
-def _training_of(card: DetectorCard) -> _Recipe:
-    place = f"The card of {card.name}, training"
-    return check_document(card.training, _Recipe, place, "copy the whole folder again")
-
-
-def _learnt_from(facts: DetectorCard) -> dict[str, Any]:
-    recipe = _training_of(facts)
+def _learnt_from(card: DetectorCard) -> dict[str, Any]:
+    recipe = _Recipe.of(card)
     return {
         "number of training images": recipe.images,
         "training images": recipe.data_sha256,
         "validation images": recipe.validation_sha256,
-        "origin of the training images": facts.trained_on,
-        "size": facts.size,
+        "origin of the training images": card.trained_on,
+        "size": card.size,
         "settings": recipe.identity.settings,
     }
 
@@ -384,10 +372,3 @@ def _learnt_from(facts: DetectorCard) -> dict[str, Any]:
 def _short(value: Any) -> str:
     text = "unknown" if value in ("", None) else str(value)
     return text[:12] if len(text) == 64 else text[:300]
-
-
-def _in_sight(tiles: OutcomeCounts) -> dict[Cell, int]:
-    """How many vehicles stand in each cell, the same for all series."""
-    shown: Sequence[Int[np.ndarray, "N 4"]] = list(tiles.series.values())
-    counts = np.max([each[:, 0] for each in shown], axis=0).tolist() if shown else []
-    return {cell: count for cell, count in zip(tiles.cells, counts, strict=True) if count}
