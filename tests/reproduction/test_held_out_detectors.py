@@ -54,7 +54,7 @@ def faster(card: DetectorCard = CARD) -> DetectorCard:
 
 
 def names(tables: dict[str, list[HeldOutDetector]]) -> dict[str, list[str]]:
-    return {table: [detector.name for detector in its] for table, its in tables.items()}
+    return {table: [detector.card.name for detector in its] for table, its in tables.items()}
 
 
 def test_tables_hold_what_learnt_from_the_same_images(tmp_path: Path) -> None:

@@ -356,7 +356,7 @@ def test_a_preset_says_where_vehicles_stand():
     assert WorldSizes().scenes("train").parked_share == 0.5
     learnt = [step.settings for step in plan.steps if step.kind == "attack"]
     assert {command.places for command in learnt} == {"drivable"}
-    for split in ("train", "validation", "attack", "test"):
+    for split in ("train", "validation", "test"):
         assert WorldSizes().scenes(split).places == "uniform"
     with pytest.raises(ConfigurationError, match="roofs"):
         Preset.parse({**TINY, "world": {**world, "test_places": "roofs"}})

@@ -42,7 +42,7 @@ ATTACKED = {
 
 def transfer(rows, attacked, *, base):
     named = {read(name): detectors for name, detectors in attacked.items()}
-    return transfer_rows(rows, named, base=read(base))
+    return transfer_rows(rows, named, read(base))
 
 
 def test_rows_by_hand():

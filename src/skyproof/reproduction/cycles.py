@@ -157,24 +157,20 @@ def _missing(run: Reproduction) -> str:
     """Says what of the renderer's columns is not on Cycles."""
     wanted = [name for name in run.names if "_" not in name]
     left = [name for name in wanted if run.row(name, renderer=CYCLES) is None]
-    parts = (
-        [f"Not scored on Cycles yet: {len(left)} of {len(wanted)} attacks and controls."]
-        if left
-        else []
-    )
+    text = ""
+    if left:
+        text = f"Not scored on Cycles yet: {len(left)} of {len(wanted)} attacks and controls. "
+    names = _names(run)
     repeats, on_cycles = (
-        max(
-            (row.repeats for name in _names(run) if (row := run.row(name, renderer=renderer))),
-            default=0,
-        )
-        for renderer in (RENDERER, CYCLES)
+        max((row.repeats for name in names if (row := run.row(name, renderer=each))), default=0)
+        for each in (RENDERER, CYCLES)
     )
     if on_cycles < repeats:
-        parts.append(
+        text += (
             f"Of {repeats} repeats of an attack or draws of a control, Cycles has {on_cycles}; "
             "changes and rank correlations between the two take only those."
         )
-    return " ".join(parts)
+    return text.strip()
 
 
 def alone_on_cycles(row: Mapping[str, Any]) -> bool:
@@ -246,25 +242,24 @@ def _originals(run: Reproduction) -> list[Block]:
     """Says what the detectors make of the images without camouflage."""
     rows = []
     for detector in run.detectors:
-        precision: list[str] = []
-        found: list[str] = []
-        for renderer in (RENDERER, CYCLES):
-            # Any camouflage will do: all are compared with the same original images.
-            wanted = (renderer, detector, MAIN_MATCH)
-            key = next((key for key in run.results.counts.series if key[1:] == wanted), None)
-            if key is not None:
-                name = str(CamouflageName.read(key.camouflage).pooled)
-                row = run.row(name, detector, renderer=renderer)
-                precision.append(_percent(None if row is None else row.ap_original))
-                vehicles, both, lost, _ = run.results.counts.series[key].sum(axis=0).tolist()
-                found.append(_percent((both + lost) / vehicles if vehicles else None))
-        if len(found) == 2:
-            rows.append([detector_name(detector), *precision, *found])
+        told = [_original(run, detector, renderer) for renderer in (RENDERER, CYCLES)]
+        if all(told):
+            cells = [cell for pair in zip(*told, strict=True) for cell in pair]
+            rows.append([detector_name(detector), *cells])
     if not rows:
         return []
     header = ["detector", "AP", "AP on Cycles", "vehicles found", "vehicles found on Cycles"]
     return ["On the images without camouflage, in percent:", TextTable(header, rows)]
 
 
-def _percent(value: float | None) -> str:
-    return number(None if value is None else 100 * value)
+def _original(run: Reproduction, detector: str, renderer: str) -> tuple[str, ...]:
+    """The AP and the share of vehicles found; nothing where nothing was scored."""
+    for key, counts in run.results.counts.series.items():
+        if key[1:] == (renderer, detector, MAIN_MATCH):
+            # Any camouflage will do: all are compared with the same original images.
+            name = CamouflageName.read(key.camouflage).pooled
+            row = run.results.row(name, detector, renderer=renderer)
+            vehicles, both, lost, _ = counts.sum(axis=0).tolist()
+            precision = number(None if row is None else 100 * row.ap_original)
+            return precision, number(100 * (both + lost) / vehicles if vehicles else None)
+    return ()

@@ -14,7 +14,7 @@ from pathlib import Path
 from skyproof.detectors.card import DetectorCard, read_card
 from skyproof.detectors.reference_detectors import reference_folder
 from skyproof.errors import ConfigurationError, RunFolderError
-from skyproof.files import drop_empty_folder, finished_folder, is_leftover
+from skyproof.files import drop_empty_folder, finished_folder
 from skyproof.layout import Layout
 from skyproof.reproduction.layout import PaperLayout
 from skyproof.reproduction.preset import Preset
@@ -35,17 +35,8 @@ class HeldOutDetector:
 
     @classmethod
     def open(cls, folder: Path) -> HeldOutDetector:
-        """Reads a detector folder's card.
-
-        Raises:
-            StoredFileError: it is no detector folder.
-        """
+        """Reads a detector folder's card; StoredFileError for another folder."""
         return cls(folder, read_card(folder))
-
-    @property
-    def name(self) -> str:
-        """The detector's name."""
-        return self.card.name
 
     @property
     def data(self) -> str:
@@ -91,10 +82,11 @@ def read_held_out(texts: Sequence[str]) -> dict[str, list[HeldOutDetector]]:
                 f"images of {GSD_M} m; give a detector for those."
             )
         others = tables.setdefault(table, [])
-        if any(detector.name == other.name for other in others):
+        name = detector.card.name
+        if any(name == other.card.name for other in others):
             raise ConfigurationError(
-                f"{place} is a second {detector.name} of the table {table}; give it a table of its "
-                f"own, as OTHER={place}."
+                f"{place} is a second {name} of the table {table}; give it a table of its own, as "
+                f"OTHER={place}."
             )
         unlike = next((other for other in others if not detector.is_trained_like(other)), None)
         if unlike is not None:
@@ -109,18 +101,13 @@ def read_held_out(texts: Sequence[str]) -> dict[str, list[HeldOutDetector]]:
 
 def stored_tables(layout: PaperLayout) -> dict[str, tuple[str, ...]]:
     """Lists by table the held-out detectors that lie in a run folder."""
-    if not layout.held_out.is_dir():
-        return {}
-    tables = sorted(
-        path.name for path in layout.held_out.iterdir() if path.is_dir() and not is_leftover(path)
-    )
-    return {
-        table: tuple(
-            path.parent.name
-            for path in sorted(layout.table(table).detectors.glob("*/detector.json"))
-        )
-        for table in tables
-    }
+    tables: dict[str, tuple[str, ...]] = {}
+    # What is hidden is being copied, or a kill left it.
+    for card in sorted(layout.held_out.glob("[!.]*/detectors/*/detector.json")):
+        detector = card.parent
+        table = detector.parents[1].name
+        tables[table] = (*tables.get(table, ()), detector.name)
+    return tables
 
 
 def new_tables(
@@ -133,14 +120,20 @@ def new_tables(
         RunFolderError: a table of that name holds other detectors.
     """
     known = stored_tables(layout)
-    attacked = [_attacked(layout, preset, name) for name in preset.detectors if given]
+    folders = [
+        reference_folder(name) if name in preset.reference else layout.detector(name)
+        for name in preset.detectors
+    ]
+    # Those that are not trained yet cannot be given.
+    trained = [folder for folder in folders if given and (folder / "detector.json").exists()]
+    attacked = [*map(HeldOutDetector.open, trained)]
     for table, detectors in given.items():
         for detector in detectors:
-            same = next((one for one in attacked if one and detector.is_same(one)), None)
+            same = next((one for one in attacked if detector.is_same(one)), None)
             if same is not None:
                 raise ConfigurationError(
-                    f"{detector.folder} is the {detector_name(same.name)} that this run attacks; "
-                    "give detectors to --held-out that no attack uses."
+                    f"{detector.folder} is the {detector_name(same.card.name)} that this run "
+                    "attacks; give detectors to --held-out that no attack uses."
                 )
         own = layout.table(table)
         stored = [HeldOutDetector.open(own.detector(name)) for name in known.get(table, ())]
@@ -148,32 +141,24 @@ def new_tables(
         if stored and other is not None:
             raise RunFolderError(
                 f"{layout.folder} has a table {table} of other detectors "
-                f"({', '.join(own.name for own in stored)}) than {other.folder}, which stay as "
-                f"they are; give it another table, as OTHER={other.folder}."
+                f"({', '.join(known[table])}) than {other.folder}, which stay as they are; give it "
+                f"another table, as OTHER={other.folder}."
             )
     return {table: detectors for table, detectors in given.items() if table not in known}
 
 
 def store_tables(layout: PaperLayout, tables: Mapping[str, Sequence[HeldOutDetector]]) -> None:
-    """Copies detectors into a run folder, a table at a time, each whole or not at all.
-
-    Raises:
-        RunFolderError: the disk cannot take them.
-    """
+    """Copies detectors into a run folder, a table at a time, each whole or not at all."""
     from skyproof.detectors.loaded import copy_detector
 
     for table, detectors in tables.items():
         with finished_folder(layout.held_out / table) as folder:
             for each in detectors:
-                copy_detector(each.folder, Layout(folder).detector(each.name), [PRECHECK_FILE])
+                copy_detector(each.folder, Layout(folder).detector(each.card.name), [PRECHECK_FILE])
 
 
 def store_reference_detectors(layout: Layout, preset: Preset) -> None:
-    """Copies the attacked detectors that come with skyproof, with their prechecks, into a run.
-
-    Raises:
-        RunFolderError: the disk cannot take them.
-    """
+    """Copies the attacked detectors that come with skyproof, with their prechecks, into a run."""
     from skyproof.detectors.loaded import copy_detector
 
     for name in preset.reference:
@@ -181,9 +166,3 @@ def store_reference_detectors(layout: Layout, preset: Preset) -> None:
             drop_empty_folder(layout.detector(name))
             with finished_folder(layout.detector(name)) as folder:
                 copy_detector(reference_folder(name), folder, [PRECHECK_FILE])
-
-
-def _attacked(layout: Layout, preset: Preset, name: str) -> HeldOutDetector | None:
-    """A detector that the run attacks; None if it is not trained yet."""
-    folder = reference_folder(name) if name in preset.reference else layout.detector(name)
-    return HeldOutDetector.open(folder) if (folder / "detector.json").exists() else None

@@ -40,10 +40,13 @@ class Plan:
     """
 
     def __init__(
-        self, steps: Sequence[Step], threads: int = 1, resources: Mapping[str, int] | None = None
+        self,
+        steps: Sequence[Step],
+        threads: int = 1,
+        resources: Mapping[str, int] = MappingProxyType({}),
     ) -> None:
         self.threads = threads
-        self.resources = dict(resources or {})
+        self.resources = resources
         if len(steps) > _MOST_STEPS:
             raise ConfigurationError(
                 f"The plan has {len(steps):,} steps, more than the {_MOST_STEPS:,} that a run "
@@ -170,7 +173,8 @@ def reproduction_plan(
         steps += further
         scores += [step for step in further if step.kind == "score"]
     steps.append(make.report(scores, checked))
-    return Plan(steps, preset.threads, preset.resources.asked())
+    asked = vars(preset.resources).items()
+    return Plan(steps, preset.threads, {name: each for name, each in asked if each is not None})
 
 
 def _score_steps(

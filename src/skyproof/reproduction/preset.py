@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -41,21 +41,11 @@ _REMEDY = "start from quick.json or paper.json"
 
 @dataclass(frozen=True)
 class Resources:
-    """Resources of a step that computes much on a cluster; None asks for nothing.
-
-    Attributes:
-        gpu: number of GPUs.
-        mem_mb: memory in megabytes.
-        runtime: minutes.
-    """
+    """Resources of a step that computes much on a cluster; None asks for nothing."""
 
     gpu: Annotated[int, Meta(ge=0, le=64)] | None = None
     mem_mb: Annotated[int, Meta(ge=1, le=10_000_000)] | None = None
-    runtime: Annotated[int, Meta(ge=1, le=1_000_000)] | None = None
-
-    def asked(self) -> dict[str, int]:
-        """Returns the resources that are set."""
-        return {name: value for name, value in vars(self).items() if value is not None}
+    runtime: Annotated[int, Meta(ge=1, le=1_000_000)] | None = None  # minutes
 
 
 @dataclass(frozen=True)
@@ -137,11 +127,11 @@ class Preset:
     preset: _Text = field(default="", compare=False)
 
     def __post_init__(self) -> None:
-        for mistake in (*self._names(), *self._numbers(), *self._references()):
+        for mistake in self._mistakes():
             raise ConfigurationError(mistake)
 
-    def _names(self) -> Iterator[str]:
-        """Mistakes in names of textures and camouflages."""
+    def _mistakes(self) -> Iterator[str]:
+        """What the ranges of single settings do not show: names, and settings beside others."""
         for texture in (*self.textures, *self.combined_magnitudes, *self.texture_repeats):
             TextureConstraints.parse(texture)
         for setting in ("transfer", "features", "weather"):
@@ -157,9 +147,6 @@ class Preset:
             name = CamouflageName.parse(text)
             if name.random or name.variant or name.repeat:
                 yield f"cycles_headlines expects optimised camouflages such as T-U, got {text!r}."
-
-    def _numbers(self) -> Iterator[str]:
-        """Mistakes in numbers of repeats, and in image sides."""
         for texture, repeats in self.texture_repeats.items():
             if repeats < self.repeats:
                 yield (
@@ -173,10 +160,9 @@ class Preset:
                 f"attack_image_px {self.attack_image_px} is larger than what can be cut from tiles "
                 f"for images of {world.image_px} px; give at most world.image_px."
             )
-        world.scenes("attack", self.attack_image_px).half_m(world.gsd_m)
-
-    def _references(self) -> Iterator[str]:
-        """Mistakes in the detectors that come with skyproof."""
+        # An attack has one vehicle per image, which must fit into it.
+        attacked = replace(world.scenes("test"), vehicles_maximum=1, size_px=self.attack_image_px)
+        attacked.half_m(world.gsd_m)
         for architecture in self.reference:
             reference_folder(architecture)
             if architecture not in self.detectors:

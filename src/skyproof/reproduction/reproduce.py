@@ -43,7 +43,7 @@ def reproduce(asked: Reproduce) -> None:
     layout = PaperLayout(asked.out)
     given = read_held_out(asked.held_out)
     added = new_tables(layout, preset, given)
-    names = {table: tuple(sorted(each.name for each in its)) for table, its in added.items()}
+    names = {table: tuple(sorted(each.card.name for each in its)) for table, its in added.items()}
     tables = dict(sorted((stored_tables(layout) | names).items()))
     plan = reproduction_plan(
         preset, asked.out, device=asked.device, blender=blender, held_out=tables
@@ -131,7 +131,7 @@ def _copies(
 ) -> list[list[str]]:
     """The commands that put the preset and detectors where the run has them."""
     copies = [
-        (each.folder, layout.table(table).detector(each.name))
+        (each.folder, layout.table(table).detector(each.card.name))
         for table, detectors in added.items()
         for each in detectors
     ]

@@ -3,13 +3,12 @@
 They stand by attack, each at its best magnitude, beside the paper's numbers.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import cached_property
 
 import numpy as np
 
 from skyproof.camouflage.name import CamouflageName
-from skyproof.files import is_leftover
 from skyproof.reproduction.curves import PracticalityCurve, curve_families, practicality_curve
 from skyproof.reproduction.layout import PaperLayout
 from skyproof.reproduction.paper_results import PAPER_RESULTS
@@ -17,16 +16,13 @@ from skyproof.reproduction.stored_features import Features, read_features
 from skyproof.reproduction.stored_looks import Looks, read_looks
 from skyproof.results.result import Result
 from skyproof.results.results import CYCLES, RENDERER, Results
-from skyproof.results.stored import AttackRecord, Practicality
+from skyproof.results.stored import AttackRecord
 
 _FEWEST = 3
 
 
 class Reproduction:
-    """Results with the curves of EASR against practicality that the paper's tables need.
-
-    Args:
-        results: of a run.
+    """Results of a run, with the curves of EASR against practicality that the paper's tables need.
 
     Attributes:
         results: what was given.
@@ -45,17 +41,9 @@ class Reproduction:
         self.names = [str(name) for name in results.names]
         self.records: Mapping[str, AttackRecord] = results.records
         self.layout = PaperLayout(results.folder)
-        self.held_out = self._held_out()
-
-    def _held_out(self) -> dict[str, Results]:
-        """The results of each table that has scores."""
-        folder = self.layout.held_out
-        tables = sorted(folder.iterdir()) if folder.is_dir() else []
-        return {
-            path.name: Results.open(path)
-            for path in tables
-            if not is_leftover(path) and any(path.glob("scores/*/score.json"))
-        }
+        scores = sorted(self.layout.held_out.glob("[!.]*/scores/*/score.json"))
+        tables = dict.fromkeys(path.parents[2] for path in scores)
+        self.held_out = {table.name: Results.open(table) for table in tables}
 
     @property
     def comparable(self) -> bool:
@@ -69,20 +57,6 @@ class Reproduction:
     ) -> Result | None:
         """Finds a camouflage's row, of the mean over detectors or of one; None if not scored."""
         return self.results.row(CamouflageName.read(name), detector, renderer=renderer)
-
-    def practicality(self, name: str) -> Practicality | None:
-        """Says what a camouflage asks of those who would make it; None where not measured."""
-        return self.results.practicality.get(CamouflageName.read(name))
-
-    def corrected_p(self, name: str) -> dict[str, float | None]:
-        """Finds by test the largest Holm-corrected p of the detectors; None where one is untested.
-
-        The tests are those that `Result.json` has under these names.
-        """
-        rows = [self.row(name, detector) for detector in self.detectors]
-        told = [{} if row is None else row.json() for row in rows]
-        tests = ("control_p_holm", "strongest_control_p_holm", "no_camouflage_p_holm")
-        return {test: _largest([row.get(test) for row in told]) for test in tests}
 
     @cached_property
     def curves(self) -> dict[str, PracticalityCurve]:
@@ -101,20 +75,12 @@ class Reproduction:
 
     @cached_property
     def looks(self) -> Looks | None:
-        """What textures look like; None where it was not measured.
-
-        Raises:
-            StoredFileError: `looks.json` is damaged.
-        """
+        """What textures look like; None where it was not measured."""
         return read_looks(self.layout.looks)
 
     @cached_property
     def features(self) -> list[Features]:
-        """What is stored of the detectors' features; empty where nothing is.
-
-        Raises:
-            StoredFileError: the table of features is damaged.
-        """
+        """What is stored of the detectors' features; empty where nothing is."""
         path = self.layout.features
         return read_features(path) if path.exists() else []
 
@@ -127,8 +93,3 @@ def point_name(family: str, magnitude: float) -> str:
     if magnitude > 0 or family == "S-O":
         return f"{family}@{magnitude:g}"
     return "T-" + family.split("-")[1]
-
-
-def _largest(values: Sequence[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return max(known) if known and len(known) == len(values) else None

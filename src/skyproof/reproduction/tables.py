@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from skyproof.camouflage.name import CamouflageName
 from skyproof.reproduction.agreement import TEXTURE
 from skyproof.reproduction.cells import (
     Block,
@@ -14,6 +15,7 @@ from skyproof.reproduction.cells import (
     Topic,
     bracket,
     in_percent,
+    interval_cells,
     number,
     rate,
     sign,
@@ -27,6 +29,8 @@ from skyproof.reproduction.reproduction import Reproduction, point_name
 from skyproof.words import detector_name
 
 Column = tuple[str, str | Cell]
+
+_TESTS = ("control_p_holm", "strongest_control_p_holm", "no_camouflage_p_holm")
 
 
 def main_part(run: Reproduction) -> Topic:
@@ -58,14 +62,14 @@ def main_part(run: Reproduction) -> Topic:
             *_learnt_shapes(shapes),
             Figure("easr_vs_pr", "EASR against practicality", curves_figure(run.curves)),
         ]
-    named = {"textures": textures, "shape_combined": shapes, "curves": _curve_rows(run)}
-    return Topic([Table(name, rows) for name, rows in named.items()], blocks)
+    tables = [Table("textures", textures), Table("shape_combined", shapes)]
+    return Topic([*tables, Table("curves", _curve_rows(run))], blocks)
 
 
 def texture_table(rows: Sequence[Mapping[str, Any]]) -> TextTable:
     """Gives the paper's first table."""
-    first: list[Column] = [("attack", "attack"), ("practicality", _signs)]
-    return TextTable.of(rows, [*first, *_columns(rows)])
+    signs: Column = ("practicality", lambda row: sign(row["practicality"]))
+    return TextTable.of(rows, [("attack", "attack"), signs, *_columns(rows)])
 
 
 def shape_table(rows: Sequence[Mapping[str, Any]]) -> TextTable:
@@ -127,18 +131,13 @@ def _columns(rows: Sequence[Mapping[str, Any]]) -> list[Column]:
     return [*columns, ("paper APD", value("paper_apd", 2))]
 
 
-def _signs(row: Mapping[str, Any]) -> str:
-    return sign(row["practicality"])
-
-
 def _magnitude(key: str) -> Cell:
     return lambda row: "–" if row[key] is None else f"{row[key]:g}"
 
 
 def _cycles(key: str) -> Cell:
     def cell(row: Mapping[str, Any]) -> str:
-        alone = ALONE if row[key] is not None and alone_on_cycles(row) else ""
-        return bracket(row, key) + alone
+        return bracket(row, key) + (ALONE if row[key] is not None and alone_on_cycles(row) else "")
 
     return cell
 
@@ -160,13 +159,13 @@ def _texture_rows(run: Reproduction) -> list[dict[str, Any]]:
         filter(TEXTURE.fullmatch, run.names), key=lambda name: name.startswith("R-")
     ):
         paper = PAPER_RESULTS.get(name)
-        measured = run.practicality(name)
+        measured = run.results.practicality.get(CamouflageName.read(name))
         rows.append(
             {
                 "attack": name,
                 "practicality": None if measured is None else measured.score.total,
                 **in_percent(run.row(name)),
-                **run.corrected_p(name),
+                **_corrected_p(run, name),
                 "paper_easr": paper.easr if paper else None,
                 "paper_apd": paper.apd if paper else None,
                 **_on_cycles(run, name, paper),
@@ -193,7 +192,7 @@ def _shape_rows(run: Reproduction) -> list[dict[str, Any]]:
                 "pr_star": best.practicality,
                 "p1_star": best.p1,
                 **in_percent(run.row(run.best[family])),
-                **run.corrected_p(run.best[family]),
+                **_corrected_p(run, run.best[family]),
                 "paper_pm_star": magnitude,
                 "paper_easr": paper.easr if paper else None,
                 "easr_at_paper_pm_star": None if same is None else 100 * same.estimate,
@@ -202,6 +201,17 @@ def _shape_rows(run: Reproduction) -> list[dict[str, Any]]:
             }
         )
     return rows
+
+
+def _corrected_p(run: Reproduction, name: str) -> dict[str, float | None]:
+    """Finds by test the largest Holm-corrected p of the detectors; None where one is untested."""
+    rows = [run.row(name, detector) for detector in run.detectors]
+    told = [{} if row is None else row.json() for row in rows]
+    found = {}
+    for test in _TESTS:
+        known = [row[test] for row in told if row.get(test) is not None]
+        found[test] = max(known) if len(known) == len(told) else None
+    return found
 
 
 def _on_cycles(run: Reproduction, name: str, paper: PaperResult | None) -> dict[str, Any]:
@@ -225,9 +235,7 @@ def _curve_rows(run: Reproduction) -> list[dict[str, Any]]:
             "p1": point.p1,
             "share_best": 100 * point.share_best,
             **in_percent(run.row(point_name(family, point.perturbation_magnitude))),
-            "easr": 100 * point.easr.estimate,
-            "easr_low": 100 * point.easr.low,
-            "easr_high": 100 * point.easr.high,
+            **interval_cells("easr", point.easr, 100.0),
             **cycles_columns(run, point_name(family, point.perturbation_magnitude)),
         }
         for family, curve in run.curves.items()

@@ -26,34 +26,25 @@ def transfer_part(run: Reproduction) -> Topic:
     rows = [
         row
         for base in dict.fromkeys(name.base for name in of_some)
-        for row in transfer_rows(run.results.rows, attacked, base=base)
+        for row in transfer_rows(run.results.rows, attacked, base)
     ]
-    tables = [Table("transfer", rows)]
     if not rows:
-        return Topic(tables)
+        return Topic([Table("transfer", rows)])
     columns: list[tuple[str, str | Cell]] = [
         ("attack", "attack"),
         ("learnt on", lambda row: ", ".join(map(detector_name, row["attacked_on"].split()))),
         *((f"EASR on {detector_name(each)}", rate(each)) for each in run.detectors),
     ]
-    return Topic(tables, [Heading("Transfer"), TextTable.of(rows, columns)])
+    return Topic([Table("transfer", rows)], [Heading("Transfer"), TextTable.of(rows, columns)])
 
 
 def transfer_rows(
-    rows: Sequence[Result],
-    attacked: Mapping[CamouflageName, Sequence[str]],
-    *,
-    base: CamouflageName,
+    rows: Sequence[Result], attacked: Mapping[CamouflageName, Sequence[str]], base: CamouflageName
 ) -> list[dict[str, Any]]:
-    """Gives EASR by detectors attacked and detector, in percent, for one kind and its variants.
+    """Gives EASR in percent by detectors attacked and detector, for one kind and its variants.
 
-    Args:
-        rows: rows of `summarise`.
-        attacked: attacked detectors by camouflage, with or without repeat.
-        base: the kind: "T-U" takes "T-U" and its variants "T-U_on_...", "T-U_without_...".
-
-    Returns:
-        One row per camouflage, single detectors first, then larger sets.
+    The attacked detectors stand by camouflage, with or without repeat. Of "T-U" and its variants
+    "T-U_on_..." and "T-U_without_..." each has a row, single detectors first, then larger sets.
 
     Raises:
         ConfigurationError: unknown attacked detectors, repeats that attacked different ones, or a
@@ -76,7 +67,7 @@ def transfer_rows(
         and row.detector != MEAN
     }
     scoring = dict.fromkeys(detector for _, detector in easr)
-    names = list(dict.fromkeys(name for name, _ in easr))
+    names = dict.fromkeys(name for name, _ in easr)
     for name in names:
         if not of_row.get(name):
             raise ConfigurationError(

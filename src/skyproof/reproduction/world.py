@@ -20,7 +20,6 @@ ground without vehicles, and the test scenes in weather."""
 RENDERED: tuple[Rendered, ...] = ("train", "validation", "test")
 """The splits that a run with a training renders."""
 
-
 MOST_SCENES = 200
 """Scenes, the first, at whose vehicles features are stored: some 600 vehicles, as many as a picture
 of points can show. Scenes are drawn independently, so the first are a fair sample."""
@@ -35,7 +34,6 @@ class WorldSizes:
         image_px: image side.
         tiles: drawn ground tiles per split (train, validation, attack, test).
         vehicles: vehicles in the fleet of each split.
-        training_images: number of training images.
         validation_images: number of images that choose weights and threshold.
         test_images: number of images that are attacked and reported.
         training_vehicles: largest number of vehicles in a training image; others have 1 to 5.
@@ -67,12 +65,12 @@ class WorldSizes:
     def __post_init__(self) -> None:
         check_ranges(self)
         # Refuses an image that no vehicle fits into, and more vehicles than a scene may have.
-        for split in ("train", "test"):
-            self.scenes(split).half_m(self.gsd_m)
+        for scenes in (self.scenes("train"), self.scenes("test")):
+            scenes.half_m(self.gsd_m)
 
-    def scenes(self, split: str, image_px: int | None = None) -> SceneSettings:
-        """Returns the settings of a split's scenes; an attack has one vehicle per image."""
-        usual = SceneSettings(size_px=image_px or self.image_px, places=self.test_places)
+    def scenes(self, split: Rendered) -> SceneSettings:
+        """Returns the settings of a split's scenes."""
+        usual = SceneSettings(size_px=self.image_px, places=self.test_places)
         if split == "train":
             # Some training images are empty, so that detectors see ground alone, too.
             return replace(
@@ -88,4 +86,4 @@ class WorldSizes:
         if split == "weather":
             conditions = tuple(name for name in CONDITIONS if name != "clear")
             return replace(usual, conditions=conditions)
-        return replace(usual, vehicles_maximum=1) if split == "attack" else usual
+        return usual
