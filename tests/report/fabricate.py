@@ -16,7 +16,7 @@ from skyproof.files import write_json, write_jsonl
 from skyproof.results.pairs.outcomes import MATCHES, Outcome, read_outcomes, write_outcomes
 from skyproof.results.pictures import choose_scenes
 from skyproof.results.rows_file import write_rows
-from skyproof.results.score_folder import Pair, ScoreRecord, SetScore, write_pairs, write_record
+from skyproof.results.score_folder import Pair, ScoreRecord, SetScore, write_record
 
 DETECTORS = ("retinanet", "faster_rcnn")
 HIDES = {"T-U": 0.8, "R-U-0": 0.04, "R-U-1": 0.08}
@@ -119,7 +119,7 @@ def _write_pairs(score, outcomes, pictures):
         pairs.append(
             Pair("T-U", DETECTORS[0], scene, why, len(scenes[scene]), before, after, *files)
         )
-    write_pairs(score, pairs)
+    write_rows(score / "pairs" / "pairs.json", pairs)
 
 
 def _write_rest(folder, rng):

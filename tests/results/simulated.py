@@ -12,9 +12,8 @@ import numpy as np
 from scipy import optimize, special
 
 from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
-from skyproof.results.statistics.intervals import resample
+from skyproof.results.statistics.intervals import Sample, resample
 from skyproof.results.statistics.repeats import DRAWS, SEEDS, TRAININGS, Repeat, RepeatKind
-from skyproof.results.statistics.sample import Sample
 
 REPLICATES = 400
 _POINTS, _WEIGHTS = np.polynomial.hermite_e.hermegauss(101)

@@ -5,8 +5,7 @@ import pytest
 
 from skyproof.errors import ConfigurationError
 from skyproof.results.statistics.acceptance import Requirement, evidence_above, evidence_below
-from skyproof.results.statistics.compliance import _chances, tiles_to_decide
-from skyproof.results.statistics.planning import Assumptions
+from skyproof.results.statistics.planning import Assumptions, _chances, tiles_to_decide
 
 
 def test_only_right_answers_count_and_tiles_without_a_found_vehicle_tell_nothing():

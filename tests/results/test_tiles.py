@@ -7,11 +7,16 @@ import numpy as np
 import pytest
 
 from skyproof.errors import ConfigurationError, StoredFileError
-from skyproof.results.merge import merge_scores
 from skyproof.results.pairs.counts import OutcomeCounts, Series, read_counts
 from skyproof.results.pairs.outcomes import Outcome, write_outcomes
 from skyproof.results.rows_file import read_rows, write_rows
-from skyproof.results.score_folder import ScoreFolder, ScoreRecord, SetScore, write_record
+from skyproof.results.score_folder import (
+    ScoreFolder,
+    ScoreRecord,
+    SetScore,
+    merge_scores,
+    write_record,
+)
 from tests.results.counted import count_outcomes, on_tiles, write_counts
 
 

@@ -112,7 +112,7 @@ def test_without_a_draw_of_every_control_there_is_none_to_compare(tmp_path):
 def test_a_detector_that_found_nothing_before_has_none(tmp_path):
     results = scored(tmp_path, HIDES)
     outcomes = [outcome(0, 4, name, False, "centre_1m") for name in HIDES]
-    results._read_outcomes[results.scores[0].path / "outcomes.parquet"] = outcomes
+    write_outcomes(results.scores[0].path / "outcomes.parquet", outcomes)
     assert worst_cases(results) == []
 
 

@@ -12,11 +12,11 @@ from skyproof.imagery.settings import SourceSettings
 from skyproof.imagery.tiles.grid import cells_of, lay_grids
 from skyproof.imagery.tiles.sources import SourceReader, find_images, inspect_source
 from skyproof.results.statistics.acceptance import fewest_tiles
-from skyproof.results.statistics.compliance import tiles_to_decide
 from skyproof.results.statistics.planning import (
     Assumptions,
     expected_half_width,
     tiles_needed,
+    tiles_to_decide,
     tiles_to_show,
 )
 from skyproof.words import percent

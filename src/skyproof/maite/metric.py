@@ -14,8 +14,8 @@ from skyproof.maite.targets import batches, found_vehicles
 from skyproof.results.pairs.counts import Cell, count_pairs
 from skyproof.results.rows_file import nulls_for_undefined
 from skyproof.results.statistics.contrasts import Group, mean_interval
+from skyproof.results.statistics.intervals import Sample
 from skyproof.results.statistics.rates import attack_success_rate, enhancement_rate
-from skyproof.results.statistics.sample import Sample
 from skyproof.seeds import numpy_generator
 
 _RATES = ("easr", "easr_low", "easr_high", "asr", "asr_low", "asr_high", "er")

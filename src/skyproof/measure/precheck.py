@@ -28,7 +28,7 @@ from skyproof.results.pairs.counts import count_cells
 from skyproof.results.precheck import Kind, MeasuredOn, PrecheckRecord, Rate
 from skyproof.results.result import MAIN_MATCH
 from skyproof.results.statistics.contrasts import Group, mean_interval
-from skyproof.results.statistics.sample import Sample
+from skyproof.results.statistics.intervals import Sample
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.scene import Scene, scenes_digest
 from skyproof.seeds import numpy_generator

@@ -29,7 +29,6 @@ from skyproof.results.score_folder import (
     ScoreRecord,
     SetScore,
     is_pictured,
-    write_pairs,
     write_record,
 )
 from skyproof.results.statistics.rates import false_alarms_per_km2
@@ -174,7 +173,7 @@ class _Writer:
         write_outcomes(self._folder / "outcomes.parquet", outcomes)
         sets = [row for rows in self._sets.values() for row in rows]
         write_rows(self._folder / "sets.json", [*self._original, *sets])
-        write_pairs(self._folder, self._pairs)
+        write_rows(self._folder / "pairs" / "pairs.json", self._pairs)
         return outcomes
 
     def _set_scores(self, detector: Detector, view: SceneView) -> list[SetScore]:

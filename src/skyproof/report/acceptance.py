@@ -23,8 +23,7 @@ from skyproof.results.pairs.counts import OutcomeCounts
 from skyproof.results.result import MAIN_MATCH
 from skyproof.results.results import RENDERER, Results
 from skyproof.results.statistics.acceptance import Decision, Evidence, Requirement, decide
-from skyproof.results.statistics.compliance import chances_on_tiles
-from skyproof.results.statistics.planning import assume_from_pilot, tiles_to_show
+from skyproof.results.statistics.planning import assume_from_pilot, chances_on_tiles, tiles_to_show
 from skyproof.scenes.scene import scenes_digest
 from skyproof.words import body_name, detector_name, interval, percent, renderer_name
 

@@ -16,8 +16,8 @@ from matplotlib.ticker import NullFormatter
 from skyproof.results.conditions import Panel
 from skyproof.results.result import Result
 from skyproof.results.statistics.acceptance import Requirement
-from skyproof.results.statistics.compliance import DecisionChances
 from skyproof.results.statistics.intervals import Interval
+from skyproof.results.statistics.planning import DecisionChances
 from skyproof.words import detector_name
 
 # Okabe and Ito's colours, safe for colour-blind readers; markers and line styles differ as well.

@@ -31,9 +31,8 @@ from skyproof.reproduction.reproduction import Reproduction, point_name
 from skyproof.results.pairs.counts import OutcomeCounts
 from skyproof.results.result import MAIN_MATCH
 from skyproof.results.results import CYCLES, RENDERER
-from skyproof.results.statistics.intervals import Interval
+from skyproof.results.statistics.intervals import Interval, Sample
 from skyproof.results.statistics.rates import overall_attack_success_rate
-from skyproof.results.statistics.sample import Sample
 
 _FEWEST = 3
 

@@ -14,14 +14,12 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
 from skyproof.report.figures import GREY, INK, STYLE, as_files
 from skyproof.reproduction.paper_results import PAPER_RESULTS
-from skyproof.results.pairs.counts import OutcomeCounts, Series
-from skyproof.results.repeats import repeat_of
+from skyproof.results.pairs.counts import OutcomeCounts, Series, repeat_of
 from skyproof.results.result import MAIN_MATCH
 from skyproof.results.results import RENDERER
 from skyproof.results.statistics.contrasts import Group, mean_interval
-from skyproof.results.statistics.intervals import Interval
+from skyproof.results.statistics.intervals import Interval, Sample
 from skyproof.results.statistics.rates import overall_attack_success_rate
-from skyproof.results.statistics.sample import Sample
 
 
 @dataclass(frozen=True)

@@ -30,17 +30,14 @@ from skyproof.reproduction.cells import (
 )
 from skyproof.reproduction.layout import PaperLayout
 from skyproof.reproduction.reproduction import Reproduction
-from skyproof.results.merge import merge_scores
-from skyproof.results.pairs.counts import Cell, OutcomeCounts
-from skyproof.results.repeats import repeat_of
+from skyproof.results.pairs.counts import Cell, OutcomeCounts, repeat_of
 from skyproof.results.result import MAIN_MATCH, MEAN
 from skyproof.results.results import RENDERER, Results
-from skyproof.results.score_folder import ScoreFolder
+from skyproof.results.score_folder import ScoreFolder, merge_scores
 from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
-from skyproof.results.statistics.intervals import Interval
+from skyproof.results.statistics.intervals import Interval, Sample
 from skyproof.results.statistics.rates import overall_attack_success_rate
 from skyproof.results.statistics.repeats import DRAWS, TRAININGS, Repeat
-from skyproof.results.statistics.sample import Sample
 from skyproof.results.stored import read_detectors
 from skyproof.words import detector_name
 

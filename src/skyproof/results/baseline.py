@@ -9,8 +9,8 @@ from msgspec import Meta
 from skyproof.ranges import Fraction, Name, WholeNumber
 from skyproof.results.statistics.intervals import Interval
 
+# The largest loss of F1 with which a frozen threshold carries over.
 _FAR = 0.03
-"""Largest loss of F1 with which a frozen threshold carries over."""
 
 _Share = Annotated[Interval, Meta(ge=0, le=1)]
 _Threshold = Annotated[float, Meta(ge=-1e6, le=1e6)]
@@ -34,16 +34,11 @@ class BestF1:
 class Baseline:
     """One detector on one set of images without camouflage; a row of `baselines.json`.
 
-    Intervals are over the clusters; undefined numbers are nan.
+    Intervals are over the clusters ("places" or "images"); undefined numbers are nan. Precision,
+    recall and false alarms are at the frozen threshold by centre distance.
 
     Attributes:
-        detector, dataset: names.
-        images, vehicles: numbers of images and vehicles.
         real: whether a camera took the images.
-        ap_centre_1m, ap_iou_50: average precision by centre distance and by overlap.
-        clustered_by, clusters: "places" or "images", and their number.
-        threshold: frozen threshold.
-        precision, recall, false_alarms_per_km2: at that threshold by centre distance.
         best: best threshold on these images, if known.
         note: source and processing of the images.
     """

@@ -38,11 +38,9 @@ _MANY: dict[Kind, str] = {
 
 @dataclass(frozen=True)
 class Finding:
-    """The finding of one criterion.
+    """The finding of one criterion, such as "plain paints on body panels".
 
     Attributes:
-        criterion: its name: "plain paints on body panels".
-        outcome: passed, borderline or failed.
         words: the finding as a clause.
         figure: the finding as a cell of a table: "RGB (128, 128, 0) 97 % (90 to 99 %)".
         beyond: distance of the estimate beyond its limit; below 0 if it is within.

@@ -18,18 +18,18 @@ _COUNT = 6
 _ENLARGE = 2
 
 
-def choose_scenes(scenes: Mapping[str, Sequence[Outcome]], count: int = _COUNT) -> dict[str, str]:
-    """Chooses scenes to show, with reasons: the first `count` by SHA-256 of their id, then the ones
+def choose_scenes(scenes: Mapping[str, Sequence[Outcome]]) -> dict[str, str]:
+    """Chooses scenes to show, with reasons: the first six by SHA-256 of their id, then the ones
     with most and with fewest vehicles hidden.
     """
     order = sorted(scenes, key=lambda scene: hashlib.sha256(scene.encode()).hexdigest())
-    chosen = dict.fromkeys(order[:count], "Chosen by hash")
+    chosen = dict.fromkeys(order[:_COUNT], "Chosen by hash")
 
     def hidden(scene: str) -> int:
         return sum(int(o.detected_original) - int(o.detected_adversarial) for o in scenes[scene])
 
     # Only scenes in which something was found before can show success or failure.
-    others = [scene for scene in order[count:] if any(o.detected_original for o in scenes[scene])]
+    others = [scene for scene in order[_COUNT:] if any(o.detected_original for o in scenes[scene])]
     if len(others) >= 2:
         chosen[max(others, key=hidden)] = "Most vehicles hidden"
         others = [scene for scene in others if scene not in chosen]
@@ -45,14 +45,10 @@ def draw_scene(
     scores: Float[np.ndarray, " K"],
     threshold: float,
 ) -> Image.Image:
-    """Draws one image at twice its size, with a detector's detections.
+    """Draws one image (sRGB bytes) at twice its size, with a detector's detections.
 
-    Args:
-        image: sRGB bytes.
-        vehicles: per vehicle its box (pixel xyxy), whether it was found, and the score of its
-            detection.
-        boxes, scores: all detections, pixel xyxy.
-        threshold: smallest score of a false alarm.
+    A vehicle has its box (pixel xyxy), whether it was found, and the score of its detection. False
+    alarms have the threshold at least.
     """
     height, width = image.shape[:2]
     size = (width * _ENLARGE, height * _ENLARGE)

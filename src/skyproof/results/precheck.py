@@ -23,8 +23,8 @@ _FORMAT = 1
 _REMEDY = "copy the whole folder again, or move this file away and check the detector again"
 
 Kind = Literal["paint_body", "paint_whole", "two_tone", "blur", "control", "sun"]
-"""Kind of change: a plain paint on body panels or the whole vehicle, two tones on body panels, the
-sharpness of vehicles, a random control, or the elevation of the sun."""
+"""A plain paint on body panels or the whole vehicle, two tones on body panels, the sharpness of
+vehicles, a random control, or the elevation of the sun."""
 
 _PAINT = re.compile("#[0-9a-f]{6}")
 _PAINTS: dict[Kind, re.Pattern[str]] = {
@@ -42,12 +42,8 @@ _Text = Annotated[str, Meta(max_length=10_000)]
 class Rate:
     """The share of vehicles that one change hides from one detector.
 
-    Attributes:
-        kind: kind of change.
-        name: the change: "#ff8000", "#ff8000#007fff" (upper half first), "0.7 px", "R-PixFc",
-            "25°".
-        draws: number of draws whose mean is `easr`; 1 but for random controls.
-        easr: vehicles lost minus vehicles gained, over those found in the unchanged image.
+    The name is "#ff8000", "#ff8000#007fff" (upper half first), "0.7 px", "R-PixFc" or "25°". EASR
+    is the mean of several draws for random controls.
     """
 
     kind: Kind
@@ -58,13 +54,10 @@ class Rate:
 
 @dataclass(frozen=True)
 class MeasuredOn:
-    """The identity of a precheck.
-
-    Digests that an older record lacks are empty.
+    """The identity of a precheck. Digests that an older record lacks are empty.
 
     Attributes:
-        scenes, scenes_sha256: number and digest of the scenes.
-        sources: sources of their ground, or ("procedural",).
+        sources: sources of the ground, or ("procedural",).
         draws: draws of each random control.
         seed: seed of random controls and of the bootstrap.
         frames, frames_sha256: name of each annotated set, and digest of its images' names, sizes
@@ -100,15 +93,9 @@ class MeasuredOn:
 
 @dataclass(frozen=True)
 class PrecheckRecord:
-    """The precheck of one detector.
+    """The precheck of one detector; `sets` are the unchanged scenes, then each annotated set.
 
-    Attributes:
-        detector: name of the detector.
-        weights_sha256: digest of its weights; empty for a black box.
-        threshold: its frozen threshold.
-        measured_on: scenes, draws and annotated sets.
-        sets: baseline on the unchanged scenes, then on each annotated set.
-        rates: rate of each change.
+    The digest of the weights is empty for a black box.
     """
 
     detector: str
@@ -124,34 +111,20 @@ class PrecheckRecord:
 
 
 def write_precheck(folder: Path, record: PrecheckRecord) -> None:
-    """Writes `precheck.json` into a detector folder, whole or not at all.
-
-    Raises:
-        RunFolderError: there is one already, or the disk cannot take it.
-    """
-    path = Path(folder) / PRECHECK_FILE
+    """Writes `precheck.json`, whole or not at all, into a detector folder that has none."""
+    path = folder / PRECHECK_FILE
+    rows = {
+        "measured_on": asdict(record.measured_on),
+        "sets": [flat_row(baseline) for baseline in record.sets],
+        "rates": [flat_row(rate) for rate in record.rates],
+    }
     with new_file(path):
-        write_json(
-            path,
-            {
-                "format": _FORMAT,
-                "detector": record.detector,
-                "weights_sha256": record.weights_sha256,
-                "threshold": record.threshold,
-                "measured_on": asdict(record.measured_on),
-                "sets": [flat_row(baseline) for baseline in record.sets],
-                "rates": [flat_row(rate) for rate in record.rates],
-            },
-        )
+        write_json(path, {"format": _FORMAT, **vars(record), **rows})
 
 
 def read_precheck(folder: Path) -> PrecheckRecord:
-    """Reads the `precheck.json` of a detector folder.
-
-    Raises:
-        StoredFileError: the file is missing, damaged or of another version.
-    """
-    path = Path(folder) / PRECHECK_FILE
+    """Reads the `precheck.json` of a detector folder."""
+    path = folder / PRECHECK_FILE
     stored: _PrecheckDocument = read_document(path, _PrecheckDocument, _REMEDY, version=_FORMAT)
     for row in stored.rates:
         form = _PAINTS.get(row.kind)
@@ -174,12 +147,9 @@ def read_prechecks(detectors: Path) -> dict[str, PrecheckRecord]:
     """Reads the records of all detector folders in a folder, by detector.
 
     A record of other weights or another threshold than the card beside it is left out.
-
-    Raises:
-        StoredFileError: a file is damaged or of another version.
     """
     records = {}
-    for path in sorted(Path(detectors).glob(f"*/{PRECHECK_FILE}")):
+    for path in sorted(detectors.glob(f"*/{PRECHECK_FILE}")):
         record = read_precheck(path.parent)
         card = read_card(path.parent)
         if (record.weights_sha256, record.threshold) == (card.weights_sha256, card.threshold):

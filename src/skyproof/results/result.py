@@ -19,9 +19,7 @@ class Contrast:
     """A camouflage beside one of its controls, on the same tiles and vehicles.
 
     Attributes:
-        control: name of the control without repeat.
-        easr: EASR of the control.
-        draws: number of draws or repeats of the control.
+        easr, draws: EASR of the control, and the number of its draws or repeats.
         net: EASR of the camouflage minus that of the control.
         p, p_holm: largest p of the test that the camouflage hides more than each draw
             (`control_p`), and Holm's correction over all camouflages of this detector; None if a
@@ -40,19 +38,14 @@ class Contrast:
 class Result:
     """The rates of one camouflage for one detector, or for the mean of all, by one match rule.
 
-    Rates are fractions, nan where undefined.
+    Rates are fractions, nan where undefined. False alarms are at the frozen threshold. The spread
+    of the repeats that share a result is nan for a single one.
 
     Attributes:
-        camouflage: name without repeat; repeats of one camouflage share a result.
-        renderer, detector, match: as in the outcomes; the detector may be "mean".
-        vehicles: number of vehicles in sight.
-        clusters: number of background tiles that show vehicles.
-        repeats: number of repeats that share the result.
+        camouflage: name without repeat.
+        vehicles, clusters: numbers of vehicles in sight, and of background tiles that show any.
         easr, asr, er: overall success, vehicles lost and vehicles gained.
-        easr_repeat_sd, easr_repeat_min, easr_repeat_max: spread of the repeats; nan for a single
-            one.
         ap_original, ap_adversarial, apd: average precision before and after, and its drop.
-        false_alarms_per_km2_original, false_alarms_per_km2_adversarial: at the frozen threshold.
         random: contrast with the random control; None without one and for controls.
         strongest: contrast with the strongest of the plain-paint, best-of-N and search controls.
             The low limit is the lowest against any of them and the p the largest, so a claim holds

@@ -1,6 +1,7 @@
 """All results of a run, read from its score folders."""
 
 import math
+from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,17 +15,14 @@ from skyproof.detectors.card import DetectorCard
 from skyproof.files import inside, write_json
 from skyproof.layout import Layout
 from skyproof.results.baseline import Baseline
-from skyproof.results.merge import merge_scores
-from skyproof.results.pairs.counts import OutcomeCounts, Series
+from skyproof.results.pairs.counts import OutcomeCounts, Series, repeat_of
 from skyproof.results.pairs.outcomes import Outcome, read_outcomes
 from skyproof.results.precheck import PrecheckRecord, read_prechecks
-from skyproof.results.repeats import repeat_of
 from skyproof.results.result import LENIENT_MATCH, MAIN_MATCH, MEAN, Result
 from skyproof.results.rows_file import flat_row
-from skyproof.results.score_folder import Pair, ScoreFolder
+from skyproof.results.score_folder import Pair, ScoreFolder, merge_scores
 from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
-from skyproof.results.statistics.intervals import Interval
-from skyproof.results.statistics.sample import Sample
+from skyproof.results.statistics.intervals import Interval, Sample
 from skyproof.results.stored import (
     AttackRecord,
     Practicality,
@@ -50,10 +48,7 @@ CYCLES = "cycles"
 
 @dataclass(frozen=True)
 class RendererChange:
-    """Mean EASR under two renderers, and the second minus the first with its interval.
-
-    They are paired by camouflage, repeat, tile and vehicle.
-    """
+    """Mean EASR under two renderers, and the paired difference of the second and the first."""
 
     first: float
     second: float
@@ -221,19 +216,9 @@ class Results:
 
     def outcomes(self, name: CamouflageName | None, renderer: str) -> list[Outcome]:
         """Gives the outcomes of each repeat of a camouflage, or of all, by the main rule."""
-        wanted = {
-            key.camouflage
-            for key in self.counts.series
-            if key.renderer == renderer
-            and name in (None, CamouflageName.read(key.camouflage).pooled)
-        }
-        return [
-            outcome
-            for score in self.scores
-            if score.record.renderer == renderer
-            for outcome in self._outcomes(score)
-            if outcome.camouflage in wanted and outcome.match == MAIN_MATCH
-        ]
+        every = {outcome.camouflage for outcome in self._outcomes[renderer]}
+        wanted = {each for each in every if name in (None, CamouflageName.read(each).pooled)}
+        return [outcome for outcome in self._outcomes[renderer] if outcome.camouflage in wanted]
 
     def pairs(self, name: CamouflageName, renderer: str) -> list[tuple[Path, Pair]]:
         """Lists the pictured scenes of a camouflage, each with the folder of its files."""
@@ -248,10 +233,10 @@ class Results:
     def pattern(self, name: CamouflageName, file: str) -> Path | None:
         """Gives a picture or log of the first repeat of a camouflage; None where there is none."""
         for score in self.scores:
-            for folder in (str(name), str(name.with_repeat(0))):
-                path = score.path / "patterns" / folder / file
-                if path.exists():
-                    return inside(score.path, f"patterns/{folder}/{file}", score.path)
+            for folder in (name, name.with_repeat(0)):
+                place = f"patterns/{folder}/{file}"
+                if (score.path / place).exists():
+                    return inside(score.path, place, score.path)
         return None
 
     def change(
@@ -269,34 +254,26 @@ class Results:
         camouflages, each of which is the mean of its repeats. With `net`, the EASR of the random
         control is subtracted. None where nothing is shared, or with `net` no control.
         """
-        before, after = self._shared(set(names), detector, first, second)
-        if before is None or after is None:
+        own = self._shared(set(names), detector, first, second)
+        controls = {name.control for name in names} if net else set()
+        random = self._shared(controls, detector, first, second)
+        if own is None or (net and random is None):
             return None
-        plus = [after]
-        minus = [before]
-        if net:
-            controls = {name.control for name in names}
-            random_before, random_after = self._shared(controls, detector, first, second)
-            if random_before is None or random_after is None:
-                return None
-            plus.append(random_before)
-            minus.append(random_after)
-            rates = (before.rate - random_before.rate, after.rate - random_after.rate)
-        else:
-            rates = (before.rate, after.rate)
-        return RendererChange(*rates, difference_interval(plus, minus))
+        if random is None:
+            return RendererChange(own[0].rate, own[1].rate, difference_interval([own[1]], [own[0]]))
+        before, after = (each.rate - drawn.rate for each, drawn in zip(own, random, strict=True))
+        change = difference_interval([own[1], random[0]], [own[0], random[1]])
+        return RendererChange(before, after, change)
 
     def single_easr(self, camouflage: str) -> float | None:
-        """Gives EASR of one single repeat, mean over detectors; None where unknown or undefined."""
+        """Gives the estimate alone of `single_interval`."""
         group = self._group(camouflage)
         return None if group is None or math.isnan(group.rate) else group.rate
 
     def single_interval(self, camouflage: str) -> Interval | None:
-        """Gives EASR of one single repeat with its interval; None where unknown or undefined."""
+        """Gives EASR of one single repeat, mean over detectors; None where unknown or undefined."""
         group = self._group(camouflage)
-        if group is None or math.isnan(group.rate):
-            return None
-        return mean_interval(group)
+        return None if group is None or math.isnan(group.rate) else mean_interval(group)
 
     def difference(self, later: str, earlier: str) -> Interval | None:
         """Gives EASR of one single repeat minus another's, on the same tiles; None if unknown."""
@@ -315,18 +292,18 @@ class Results:
         return {(row.camouflage, row.detector, row.renderer, row.match): row for row in self.rows}
 
     @cached_property
-    def _read_outcomes(self) -> dict[Path, list[Outcome]]:
-        return {}
-
-    def _outcomes(self, score: ScoreFolder) -> list[Outcome]:
-        path = score.path / "outcomes.parquet"
-        if path not in self._read_outcomes:
-            self._read_outcomes[path] = read_outcomes(path) if path.exists() else []
-        return self._read_outcomes[path]
+    def _outcomes(self) -> Mapping[str | None, list[Outcome]]:
+        """The outcomes by the main rule, by renderer."""
+        found: dict[str | None, list[Outcome]] = defaultdict(list)
+        for score in self.scores:
+            path = score.path / "outcomes.parquet"
+            outcomes = read_outcomes(path) if path.exists() else []
+            found[score.record.renderer] += [one for one in outcomes if one.match == MAIN_MATCH]
+        return found
 
     def _shared(
         self, names: set[CamouflageName], detector: str | None, first: str, second: str
-    ) -> tuple[Group, Group] | tuple[None, None]:
+    ) -> tuple[Group, Group] | None:
         """Gathers the repeats and detectors that two renderers share."""
         shared = {
             key: self.counts.series.get(key._replace(renderer=second))
@@ -337,15 +314,15 @@ class Results:
         }
         after = {key: counts[:, 1:] for key, counts in shared.items() if counts is not None}
         if not after:
-            return None, None
+            return None
         before = [self.counts.series[key][:, 1:] for key in after]
         repeats = [[repeat_of(key.camouflage)] for key in after]
         of = [str(CamouflageName.read(key.camouflage).pooled) for key in after]
-        now = np.stack(list(after.values()))
-        return (
-            Group(np.stack(before), self.sample, repeats, of),
-            Group(now, self.sample, repeats, of),
+        one, other = (
+            Group(np.stack(counts), self.sample, repeats, of)
+            for counts in (before, [*after.values()])
         )
+        return one, other
 
     def _group(self, camouflage: str) -> Group | None:
         keys = [Series(camouflage, RENDERER, detector, MAIN_MATCH) for detector in self.detectors]

@@ -5,33 +5,34 @@ It holds `score.json`, `outcomes.parquet`, `sets.json`, `baselines.json`, `detec
 `score.json` and `baselines.json` are always there.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Self
 
+import numpy as np
 from msgspec import Meta, Struct
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.documents import read_document
-from skyproof.errors import StoredFileError
+from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import write_json
 from skyproof.layout import Layout
 from skyproof.ranges import FileReference, Fraction, Name, Seed, WholeNumber
 from skyproof.results.baseline import Baseline
+from skyproof.results.pairs.counts import OutcomeCounts, Series, read_counts
+from skyproof.results.pairs.outcomes import ORIGINAL
 from skyproof.results.rows_file import read_rows
 from skyproof.results.stored import Label, Practicality, Text
 
 
 @dataclass(frozen=True)
 class ScoreRecord:
-    """Contents of `score.json`.
+    """Contents of `score.json`: thresholds of the detectors, in the order in which they were given.
 
-    Attributes:
-        thresholds: frozen threshold of each detector, in the order in which they were given.
-        seed: seed of the bootstrap.
-        renderer: renderer of the compared images; None without any.
-        sources: sources of their ground, or ["procedural"]; empty if unknown.
+    The seed is that of the bootstrap. The renderer of compared images is None without any, the
+    sources of their ground are empty if unknown.
     """
 
     thresholds: Mapping[Name, Annotated[float, Meta(ge=-1e6, le=1e6)]]
@@ -44,10 +45,7 @@ class ScoreRecord:
 class Pair:
     """Two pictures of one scene, without and with a camouflage, as one detector sees them.
 
-    Attributes:
-        why: reason for the choice of the scene.
-        vehicles, found_before, found_after: numbers of vehicles.
-        original, adversarial: files, relative to the folder's `pairs`.
+    `why` is the reason for the choice of the scene; files are relative to the folder's `pairs`.
     """
 
     camouflage: Name
@@ -77,10 +75,6 @@ class SetScore:
     false_alarms_per_km2: Annotated[float, Meta(ge=0, le=1e12)]
 
 
-class _Pairs(Struct, frozen=True):
-    rows: list[Pair]
-
-
 class _PracticalityFile(Struct, frozen=True):
     rows: list[Practicality]
 
@@ -100,19 +94,9 @@ def write_record(folder: Path, record: ScoreRecord) -> None:
     write_json(folder / "score.json", asdict(record))
 
 
-def write_pairs(folder: Path, pairs: Sequence[Pair]) -> None:
-    """Writes `pairs/pairs.json`, which names the pictures beside it."""
-    write_json(folder / "pairs" / "pairs.json", {"rows": [asdict(pair) for pair in pairs]})
-
-
 @dataclass(frozen=True)
 class ScoreFolder:
-    """A score folder, opened. Reading a damaged file raises StoredFileError.
-
-    Attributes:
-        path: its place.
-        record: contents of `score.json`.
-    """
+    """A score folder, opened. Reading a damaged file raises StoredFileError."""
 
     path: Path
     record: ScoreRecord
@@ -124,19 +108,12 @@ class ScoreFolder:
 
     @classmethod
     def all_of(cls, run_folder: Path) -> list[Self]:
-        """Opens all score folders of a run by name, or the folder itself if it is one.
-
-        Raises:
-            StoredFileError: there is none, or one is damaged.
-        """
+        """Opens all score folders of a run by name, or the folder itself if it is one."""
         if (run_folder / "score.json").exists():
             return [cls.open(run_folder)]
-        places = sorted(
-            path
-            for path in Layout(run_folder).scores.glob("*")
-            # A hidden folder is being made, or a kill left it.
-            if path.is_dir() and not path.name.startswith(".")
-        )
+        # A hidden folder is being made, or a kill left it.
+        found = Layout(run_folder).scores.glob("[!.]*")
+        places = sorted(path for path in found if path.is_dir())
         if not places:
             raise StoredFileError(
                 f"{run_folder} holds no scores; run skyproof score --out "
@@ -145,8 +122,9 @@ class ScoreFolder:
         return [cls.open(place) for place in places]
 
     def pairs(self) -> list[Pair]:
-        """Gives the pictured scenes; empty where there are none."""
-        return self._optional(Path("pairs", "pairs.json"), _Pairs)
+        """Gives the pictured scenes, whose pictures lie beside the file; empty without any."""
+        path = self.path / "pairs" / "pairs.json"
+        return read_rows(path, Pair, _REMEDY) if path.exists() else []
 
     def baselines(self) -> list[Baseline]:
         """Gives the baseline of each detector and dataset."""
@@ -158,8 +136,82 @@ class ScoreFolder:
 
     def practicality(self) -> list[Practicality]:
         """Gives the practicality of the pictured camouflages; empty where not measured."""
-        return self._optional(Path("practicality.json"), _PracticalityFile)
+        path = self.path / "practicality.json"
+        return read_document(path, _PracticalityFile, _REMEDY).rows if path.exists() else []
 
-    def _optional(self, file: Path, form: Any) -> list[Any]:
-        path = self.path / file
-        return list(read_document(path, form, _REMEDY).rows) if path.exists() else []
+
+def merge_scores(folders: Sequence[ScoreFolder]) -> tuple[OutcomeCounts, list[SetScore]]:
+    """Reads the outcomes and set scores of several score folders that share scenes and detectors.
+
+    The same result in several folders (the unchanged images always are) must be equal in all of
+    them. Folders with baselines alone are passed over.
+    """
+    compared = [folder for folder in folders if folder.record.renderer]
+    read = [(folder, read_counts(folder.path / "outcomes.parquet")) for folder in compared]
+    cells = sorted({cell for _, counts in read for cell in counts.cells})
+    place = {cell: index for index, cell in enumerate(cells)}
+    series: dict[Series, np.ndarray] = {}
+    source: dict[Series, ScoreFolder] = {}
+    shown: dict[str, tuple[ScoreFolder, np.ndarray]] = {}
+    for folder, counted in read:
+        rows = [place[cell] for cell in counted.cells]
+        for key, counts in counted.series.items():
+            spread = np.zeros((len(cells), 4), dtype=np.int64)
+            spread[rows] = counts
+            if key in series and not np.array_equal(series[key], spread):
+                raise _contradiction(source[key], folder, key)
+            first, vehicles = shown.setdefault(key.renderer, (folder, spread[:, 0]))
+            if not np.array_equal(vehicles, spread[:, 0]):
+                raise ConfigurationError(
+                    f"{first.path} and {folder.path} do not show the same vehicles on the same "
+                    "tiles; put only scores of one scene file into one run."
+                )
+            series.setdefault(key, spread)
+            source.setdefault(key, folder)
+    _refuse_other_detectors(source)
+    return OutcomeCounts(tuple(cells), series), _merge_sets(compared)
+
+
+def _refuse_other_detectors(source: dict[Series, ScoreFolder]) -> None:
+    """Refuses repeats of one camouflage with other detectors: they would be left out in silence."""
+    scored: dict[tuple[CamouflageName, str], dict[str, set[str]]] = {}
+    for key in source:
+        pooled = (CamouflageName.read(key.camouflage).pooled, key.renderer)
+        scored.setdefault(pooled, {}).setdefault(key.camouflage, set()).add(key.detector)
+    for repeats in scored.values():
+        every = set().union(*repeats.values())
+        for name, own in repeats.items():
+            if own != every:
+                place = next(score.path for key, score in source.items() if key.camouflage == name)
+                raise ConfigurationError(
+                    f"{place} has {name} scored with {', '.join(sorted(own))}, and another repeat "
+                    f"of it is scored with {', '.join(sorted(every))}; score all repeats with the "
+                    "same detectors, or leave the folder out."
+                )
+
+
+def _merge_sets(folders: Sequence[ScoreFolder]) -> list[SetScore]:
+    kept: dict[Series, tuple[ScoreFolder, SetScore]] = {}
+    for folder in folders:
+        for score in folder.sets():
+            key = Series(score.camouflage, score.renderer, score.detector, score.match)
+            first, other = kept.setdefault(key, (folder, score))
+            same = _same(score.average_precision, other.average_precision)
+            if not same or not _same(score.false_alarms_per_km2, other.false_alarms_per_km2):
+                raise _contradiction(first, folder, key)
+    return [score for _, score in kept.values()]
+
+
+def _same(one: float, other: float) -> bool:
+    return (math.isnan(one) and math.isnan(other)) or math.isclose(
+        one, other, rel_tol=1e-9, abs_tol=1e-12
+    )
+
+
+def _contradiction(first: ScoreFolder, second: ScoreFolder, key: Series) -> ConfigurationError:
+    unchanged = key.camouflage == ORIGINAL
+    what = "the images without camouflage" if unchanged else key.camouflage
+    return ConfigurationError(
+        f"{first.path} and {second.path} hold different results for {what} and {key.detector}; "
+        "leave one of the folders out, or score both again with the same scenes and detectors."
+    )

@@ -21,14 +21,7 @@ _REMEDY = "copy the whole folder again, or move this file away"
 
 
 class RunConfig(Struct, frozen=True):
-    """The part of a run's `config.json` that results and report need.
-
-    Attributes:
-        title: title of the report, if given.
-        seed: seed of the bootstrap, if given.
-        imagery: source of the ground.
-        every: all settings as plain values, to be shown.
-    """
+    """The part of a run's `config.json` that results and report need, and `every` setting."""
 
     title: Label | None = None
     seed: Seed | None = None
@@ -61,13 +54,9 @@ class Discretisation(Struct, frozen=True):
 
 
 class Convergence(Struct, frozen=True):
-    """Gain of the second half of an attack's steps, on scenes outside the attack.
+    """EASR after half of an attack's steps and after all, on a number of scenes outside it.
 
-    Attributes:
-        steps: half of the steps, and all.
-        hidden: EASR after each, mean over the detectors.
-        scenes: number of scenes.
-        converged: whether the gain was small.
+    It is the mean over the detectors; the attack converged if the gain was small.
     """
 
     steps: tuple[WholeNumber, WholeNumber]
@@ -83,14 +72,10 @@ class Queries(Struct, frozen=True):
 
 
 class AttackRecord(Struct, frozen=True):
-    """The record of a camouflage's making.
+    """The record of a camouflage's making, without the parts that its making lacks.
 
-    Attributes:
-        attack: detectors of a gradient attack; None for drawn camouflages.
-        convergence: whether more steps would hide more, if measured.
-        queries: cost of a query attack; None for others.
-        discretisation: losses before and after the last rounding.
-        sign_test: by detector, effects of a few random paints.
+    The attack names its detectors, and the sign test the effects of a few random paints by
+    detector.
     """
 
     attack: _Attack | None = None
@@ -113,10 +98,8 @@ class _Signs(Struct, frozen=True):
 class Practicality(Struct, frozen=True):
     """One row of `practicality.json`: the effort of making a camouflage.
 
-    Attributes:
-        name: name of the camouflage.
-        score: signs of texture and shape, and their total.
-        texture, shape: measured quantities; None for an unchanged side.
+    `score` holds the signs of texture and shape, and their total. Texture and shape have measured
+    quantities, and are None if unchanged.
     """
 
     name: Name

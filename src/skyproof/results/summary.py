@@ -10,19 +10,18 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from skyproof.camouflage.name import CamouflageName
-from skyproof.results.pairs.counts import OutcomeCounts, Series
+from skyproof.results.pairs.counts import OutcomeCounts, Series, repeat_of
 from skyproof.results.pairs.outcomes import MATCHES, ORIGINAL
-from skyproof.results.repeats import repeat_of
 from skyproof.results.result import MEAN, Contrast, Result
 from skyproof.results.score_folder import SetScore
 from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
 from skyproof.results.statistics.hypotheses import control_p, holm, unchanged_p
+from skyproof.results.statistics.intervals import Sample
 from skyproof.results.statistics.rates import (
     attack_success_rate,
     enhancement_rate,
     overall_attack_success_rate,
 )
-from skyproof.results.statistics.sample import Sample
 
 
 def summarise(
@@ -43,11 +42,7 @@ def summarise(
     runs over the camouflages of one detector and match rule. A claim on all detectors takes the
     largest of their p, which needs no further correction.
 
-    Args:
-        counts: outcomes of every camouflage, renderer, detector and match rule.
-        sets: average precision and false alarms of every set, "original" included; what is missing
-            is undefined.
-        generator: source of the bootstrap.
+    A score of a set that is missing in `sets` ("original" included) is undefined.
     """
     rows: list[Result] = []
     scores = {Series(s.camouflage, s.renderer, s.detector, s.match): s for s in sets}
@@ -216,10 +211,7 @@ class _Contrasts:
         """Gives lost minus gained per tile, over what each detector found before."""
         counts = self.table.group([camouflage], self.detectors).counts
         tiles = self.table.sample.by_tile(counts)
-        hidden: Float[np.ndarray, " C"] = ((tiles[..., 1] - tiles[..., 2]) / found[:, None]).sum(
-            axis=0
-        )
-        return hidden
+        return np.sum((tiles[..., 1] - tiles[..., 2]) / found[:, None], axis=0)
 
 
 def _unique(values: Iterable[str]) -> list[str]:

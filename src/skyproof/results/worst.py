@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Int
 
 from skyproof.camouflage.name import CamouflageName
+from skyproof.results.pairs.outcomes import Outcome
 from skyproof.results.results import RENDERER, Results
 from skyproof.results.rows_file import interval_columns, nulls_for_undefined
 from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
@@ -27,8 +27,6 @@ class WorstCase:
     """The share that all attacks together hide from one detector.
 
     Attributes:
-        detector, renderer: names.
-        attacks: the optimised camouflages.
         hidden: share of the found vehicles that at least one of them hides.
         strongest, alone: the attack that alone hides most, and its share.
         random: the share for as many random draws, one of each attack's control, as the mean over
@@ -61,13 +59,7 @@ class WorstCase:
 
 
 def worst_cases(results: Results, renderer: str = RENDERER) -> list[WorstCase]:
-    """Gives the worst case of each detector; none for fewer than two attacks.
-
-    Only the first repeat of each attack counts.
-
-    Raises:
-        StoredFileError: a table of outcomes is damaged.
-    """
+    """Gives the worst case of each detector, by the first repeat of each of two or more attacks."""
     scored = list(
         dict.fromkeys(key.camouflage for key in results.counts.series if key.renderer == renderer)
     )
@@ -78,12 +70,15 @@ def worst_cases(results: Results, renderer: str = RENDERER) -> list[WorstCase]:
             attacks.setdefault(name.pooled, text)
     if len(attacks) < 2:
         return []
-    lost = _Lost.of(results, renderer)
     sets = _sets_of_draws([name.control for name in attacks], set(scored))
+    found: dict[str, list[Outcome]] = {}
+    for one in results.outcomes(None, renderer):
+        if one.detected_original:
+            found.setdefault(one.detector, []).append(one)
     return [
-        found
+        _worst_case(results, found[detector], attacks, sets)
         for detector in results.detectors
-        if (found := _worst_case(results, lost, detector, renderer, attacks, sets)) is not None
+        if detector in found
     ]
 
 
@@ -104,24 +99,30 @@ def _sets_of_draws(controls: Sequence[CamouflageName], scored: Set[str]) -> list
 
 def _worst_case(
     results: Results,
-    lost: _Lost,
-    detector: str,
-    renderer: str,
+    found: Sequence[Outcome],
     attacks: dict[CamouflageName, str],
     sets: Sequence[Sequence[str]],
-) -> WorstCase | None:
-    def group(sets: Iterable[Iterable[str]], repeats: Sequence[Sequence[Repeat]]) -> Group:
-        counts = [lost.counts(detector, names) for names in sets]
-        return Group(np.stack(counts), results.sample, repeats)
+) -> WorstCase:
+    """Gives the worst case of the detector that found these vehicles."""
+    row_of = {cell: row for row, cell in enumerate(results.counts.cells)}
+    cells = {(one.scene, one.placement): row_of[one.background, one.vehicle] for one in found}
+    lost: dict[str, set[tuple[str, int]]] = {}
+    for one in found:
+        if not one.detected_adversarial:
+            lost.setdefault(one.camouflage, set()).add((one.scene, one.placement))
 
-    own = group([attacks.values()], [])
-    if not own.counts[..., :2].sum():
-        return None
-    alone = {name: group([[text]], []) for name, text in attacks.items()}
-    each = {
-        name: float(attack_success_rate(one.counts.sum(axis=1))[0]) for name, one in alone.items()
-    }
-    strongest = max(each, key=lambda name: each[name])
+    def group(sets: Sequence[Iterable[str]], repeats: Sequence[Sequence[Repeat]] = ()) -> Group:
+        """Counts per set (both, lost to any camouflage of it, gained: none)."""
+        counts = np.zeros((len(sets), len(row_of), 3), dtype=np.int64)
+        for names, own in zip(sets, counts, strict=True):
+            hidden = set().union(*(lost.get(name, ()) for name in names))
+            for place, cell in cells.items():
+                own[cell, int(place in hidden)] += 1
+        return Group(counts, results.sample, repeats)
+
+    own = group([attacks.values()])
+    alone = attack_success_rate(group([[text] for text in attacks.values()]).counts.sum(axis=1))
+    strongest = int(alone.argmax())
     random = net = None
     if sets:
         # A set of draws, one of each control, is one repeat of several.
@@ -129,45 +130,13 @@ def _worst_case(
         control = group(sets, repeats)
         random = float(attack_success_rate(control.counts.sum(axis=1)).mean())
         net = difference_interval([own], [control])
-    hidden = mean_interval(own, rate=attack_success_rate, limits=(0.0, 1.0))
     return WorstCase(
-        detector, renderer, list(attacks), hidden, strongest, each[strongest], random, net
+        found[0].detector,
+        found[0].renderer,
+        list(attacks),
+        mean_interval(own, rate=attack_success_rate, limits=(0.0, 1.0)),
+        list(attacks)[strongest],
+        float(alone[strongest]),
+        random,
+        net,
     )
-
-
-@dataclass(frozen=True)
-class _Lost:
-    """Hidden vehicles.
-
-    Attributes:
-        cells: number of each tile and vehicle of the fleet in the sample.
-        before: per detector, cell of each found vehicle by scene and placement.
-        lost: per detector and camouflage, the hidden ones.
-    """
-
-    cells: dict[tuple[str, str], int]
-    before: dict[str, dict[tuple[str, int], int]]
-    lost: dict[tuple[str, str], set[tuple[str, int]]]
-
-    @classmethod
-    def of(cls, results: Results, renderer: str) -> _Lost:
-        cells = {cell: number for number, cell in enumerate(results.counts.cells)}
-        before: dict[str, dict[tuple[str, int], int]] = {}
-        lost: dict[tuple[str, str], set[tuple[str, int]]] = {}
-        for one in results.outcomes(None, renderer):
-            if one.detected_original:
-                place = (one.scene, one.placement)
-                before.setdefault(one.detector, {})[place] = cells[one.background, one.vehicle]
-                if not one.detected_adversarial:
-                    lost.setdefault((one.detector, one.camouflage), set()).add(place)
-        return cls(cells, before, lost)
-
-    def counts(self, detector: str, camouflages: Iterable[str]) -> Int[np.ndarray, "N 3"]:
-        """Counts (both, lost, gained) per cell; lost to any of them, and none is gained."""
-        hidden: set[tuple[str, int]] = set()
-        for camouflage in camouflages:
-            hidden |= self.lost.get((detector, camouflage), set())
-        counts = np.zeros((len(self.cells), 3), dtype=np.int64)
-        for place, cell in self.before.get(detector, {}).items():
-            counts[cell, int(place in hidden)] += 1
-        return counts

@@ -10,9 +10,10 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Int
 
+from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import StoredFileError
 from skyproof.results.pairs.outcomes import Outcome, read_outcome_table
-from skyproof.results.statistics.rates import column_of_pair
+from skyproof.results.statistics.repeats import DRAWS, SEEDS, Repeat
 
 Cell = tuple[str, str]
 """A background tile, and a vehicle of the fleet on it."""
@@ -35,12 +36,10 @@ _MOST_COUNTS = 30_000_000
 
 @dataclass(frozen=True)
 class OutcomeCounts:
-    """Outcomes counted per series, background tile and vehicle of the fleet.
+    """Outcomes counted per series and cell, the cells in order.
 
-    Attributes:
-        cells: the N pairs of tile and vehicle, in order.
-        series: per series `[N, 4]`: vehicles in sight, detected in both images, lost (detected in
-            the original only), gained (in the adversarial only).
+    The four counts are vehicles in sight, detected in both images, lost (detected in the original
+    only) and gained (in the adversarial only).
     """
 
     cells: tuple[Cell, ...]
@@ -66,13 +65,14 @@ class OutcomeCounts:
         )
 
 
-def read_counts(path: Path) -> OutcomeCounts:
-    """Counts the outcomes of a file that `write_outcomes` wrote, series by first occurrence.
+def repeat_of(camouflage: str) -> Repeat:
+    """Says by its name which repeat of what a camouflage is: "R-U-1" is a draw of "R-U"."""
+    name = CamouflageName.read(camouflage)
+    return Repeat(str(name.pooled), name.repeat, DRAWS if name.random else SEEDS)
 
-    Raises:
-        StoredFileError: the file is missing, not Parquet, has other columns, values that cannot
-            be, or more of them than are read.
-    """
+
+def read_counts(path: Path) -> OutcomeCounts:
+    """Counts the outcomes of a file that `write_outcomes` wrote, series by first occurrence."""
     table = read_outcome_table(path, [*Series._fields, *_CELL, *_FOUND])
     keys, first, series = _numbered(table, Series._fields)
     found, _, place = _numbered(table, _CELL)
@@ -101,21 +101,16 @@ def _numbered(
     table: pa.Table, names: Sequence[str]
 ) -> tuple[list[tuple[str, ...]], Int[np.ndarray, " K"], Int[np.ndarray, " rows"]]:
     """Gives the K different rows of some columns, their first places, and each row's number."""
-    codes = np.zeros(len(table), dtype=np.int64)
-    values: list[list[str]] = []
-    for name in names:
-        coded = table[name].combine_chunks().dictionary_encode()
-        values.append(coded.dictionary.to_pylist())
-        codes = codes * max(len(values[-1]), 1) + coded.indices.to_numpy()
+    columns = [table[name].combine_chunks().dictionary_encode() for name in names]
+    sizes = [max(len(column.dictionary), 1) for column in columns]
+    codes = np.ravel_multi_index([column.indices.to_numpy() for column in columns], sizes)
     kinds, first, which = np.unique(codes, return_index=True, return_inverse=True)
-    rows = []
-    for code in kinds.tolist():
-        parts = []
-        for known in reversed(values):
-            code, index = divmod(code, len(known))
-            parts.append(known[index])
-        rows.append(tuple(reversed(parts)))
-    return rows, first, which.reshape(-1)
+    places = np.unravel_index(kinds, sizes)
+    values = [
+        column.dictionary.take(place).to_pylist()
+        for column, place in zip(columns, places, strict=True)
+    ]
+    return list(zip(*values, strict=True)), first, which.reshape(-1)
 
 
 def count_cells(outcomes: Sequence[Outcome], cells: Mapping[Cell, int]) -> Int[np.ndarray, "N 3"]:
@@ -135,7 +130,8 @@ def count_pairs(
     """Counts (both, lost, gained) per cell from vehicles found or missed before and after."""
     counts = np.zeros((len(cells), 3), dtype=np.int64)
     for cell, before, after in pairs:
-        column = column_of_pair(before=before, after=after)
-        if column is not None:
-            counts[cells[cell], column] += 1
+        if before:
+            counts[cells[cell], 0 if after else 1] += 1
+        elif after:
+            counts[cells[cell], 2] += 1
     return counts

@@ -28,8 +28,8 @@ Answer = Literal["accepted", "rejected", "undecided"]
 # Shares of the largest safe bet: more of them large, which decide soonest (measured on simulated
 # tests of ten requirements).
 _BETS = 1 - (1 - (np.arange(48) + 0.5) / 48) ** 2
+# Where next to nothing can be lost any bet is safe, and it stays finite.
 _LEAST_LOSS = 0.05
-"""Where next to nothing can be lost any bet is safe, and it stays finite."""
 _MOST_TILES = 10**7
 
 
@@ -62,11 +62,7 @@ class Requirement:
 def requirement_of(
     accept: float | None, reject: float | None, producer_risk: float, consumer_risk: float
 ) -> Requirement | None:
-    """Gives the requirement of two options; None where neither is given.
-
-    Raises:
-        ConfigurationError: only one of the shares is given, or they make no requirement.
-    """
+    """Gives the requirement of two options; None where neither is given."""
     if accept is None and reject is None:
         return None
     if accept is None or reject is None:
@@ -78,14 +74,11 @@ def requirement_of(
 
 @dataclass(frozen=True)
 class Evidence:
-    """The evidence of one attack on a detector.
+    """The evidence of one attack on a detector, for a share below `reject` and above `accept`.
 
-    Attributes:
-        found, lost: vehicles found before, and those of them that the attack hides.
-        share: mean share lost over tiles, which differs from lost / found if crowded tiles do.
-        at_least, at_most: bounds of the share at the producer's and the consumer's risk.
-        for_acceptance: evidence for a share below `reject`.
-        for_rejection: evidence for a share above `accept`.
+    `found` vehicles were found before, of which the attack hides `lost`. `share` is the mean share
+    lost over tiles, which differs from lost / found if crowded tiles do, with its bounds at the
+    producer's and the consumer's risk.
     """
 
     found: int
@@ -120,15 +113,9 @@ def decide(
     attacks: Mapping[str, tuple[Int[np.ndarray, " C"], Int[np.ndarray, " C"]]],
     requirement: Requirement,
 ) -> Decision:
-    """Decides on a detector.
+    """Decides on a detector from the vehicles found before and lost per tile, by attack.
 
-    Args:
-        attacks: vehicles found before and lost per tile, by name. Tiles without a found vehicle
-            are passed over.
-        requirement: requirement on the detector.
-
-    Raises:
-        ConfigurationError: no attack, or no vehicle found.
+    Tiles without a found vehicle are passed over.
     """
     if not attacks or not all(int(found.sum()) for found, _ in attacks.values()):
         raise ConfigurationError(
@@ -140,11 +127,7 @@ def decide(
         name: (_below(each, requirement.reject), _above(each, requirement.accept))
         for name, each in shares.items()
     }
-    answer = _answer(logarithms, requirement, 1.0)
-    more: int | None = 0
-    if answer == "undecided":
-        tiles = max(len(each) for each in shares.values())
-        more = _more_tiles(logarithms, requirement, tiles)
+    tiles = max(len(each) for each in shares.values())
     said = {
         name: Evidence(
             found=int(found.sum()),
@@ -157,6 +140,8 @@ def decide(
         )
         for name, (found, lost) in attacks.items()
     }
+    answer = _answer(logarithms, requirement, 1.0)
+    more = _more_tiles(logarithms, requirement, tiles) if answer == "undecided" else 0
     return Decision(answer, more, said)
 
 

@@ -17,16 +17,16 @@ from jaxtyping import Float, Int, Num
 
 from skyproof.results.statistics.intervals import (
     Interval,
-    LeftOut,
+    Sample,
     bootstrap_interval,
     is_unanimous,
     resampled,
 )
 from skyproof.results.statistics.rates import overall_attack_success_rate
 from skyproof.results.statistics.repeats import Repeat, spread_of_repeats
-from skyproof.results.statistics.sample import Sample
 
 RateFunction = Callable[[np.ndarray], np.ndarray]
+"""From summed counts `[..., S, 3]` to rates `[..., S]`; nan where undefined."""
 
 
 @dataclass(frozen=True)
@@ -34,11 +34,11 @@ class Group:
     """Counted outcomes whose mean rate is wanted: several series on one sample.
 
     Attributes:
-        counts: `[S, N, 3]` (both, lost, gained) per series and cell of the sample.
+        counts: (both, lost, gained) per series and cell of the sample.
         sample: tiles and vehicles of the N cells.
         repeats: what each series is one of several of; empty where they are taken as given.
-        of: what the mean is over, each of which is the mean of its own series; empty where it is
-            over the series. So a camouflage counts once, however often it was repeated.
+        of: what the mean is over, each the mean of its own series, so that a camouflage counts
+            once, however often it was repeated; empty where it is over the series.
     """
 
     counts: Int[np.ndarray, "S N 3"]
@@ -59,12 +59,9 @@ class Group:
         return float(overall_attack_success_rate(self.counts.sum(axis=1)) @ self.factors)
 
     @cached_property
-    def _easr(self) -> _Values:
+    def easr(self) -> _Values:
+        """EASR of every series, kept because it stands in many contrasts."""
         return _Values.of(self, overall_attack_success_rate)
-
-    def values(self, rate: RateFunction = overall_attack_success_rate) -> _Values:
-        """Gives a rate of every series; that of EASR is kept, as it stands in many contrasts."""
-        return self._easr if rate is overall_attack_success_rate else _Values.of(self, rate)
 
 
 def mean_interval(
@@ -76,14 +73,9 @@ def mean_interval(
     """Gives the interval of a rate's mean over series, no surer than they are.
 
     It covers which tiles and vehicles were drawn and, where there are several, which seeds, draws
-    or trainings (`spread_of_repeats`).
-
-    Args:
-        group: the series.
-        rate: takes summed counts `[..., S, 3]`, gives `[..., S]`; nan where undefined.
-        limits: smallest and largest value of the rate.
+    or trainings (`spread_of_repeats`). `limits` are the rate's smallest and largest value.
     """
-    values = group.values(rate)
+    values = group.easr if rate is overall_attack_success_rate else _Values.of(group, rate)
     mean = values.mean(group.factors, limits)
     return _with_repeats(mean, values.points, group.factors, group.repeats, limits)
 
@@ -100,7 +92,7 @@ def difference_interval(plus: Sequence[Group], minus: Sequence[Group]) -> Interv
     group counts as correlated with none.
     """
     groups = [*plus, *minus]
-    each = [group.values() for group in groups]
+    each = [group.easr for group in groups]
     factors = np.concatenate(
         [*(group.factors for group in plus), *(-group.factors for group in minus)]
     )
@@ -161,18 +153,11 @@ class _Values:
     @classmethod
     def joined(cls, each: Sequence[_Values]) -> _Values:
         """The series of all of them."""
-
-        def beside(name: str) -> np.ndarray:
-            return np.concatenate([getattr(values, name) for values in each], axis=-1)
-
-        return cls(*map(beside, ("points", "replicates", "tiles", "vehicles", "cells", "telling")))
+        parts = zip(*(vars(values).values() for values in each), strict=True)
+        return cls(*(np.concatenate(part, axis=-1) for part in parts))
 
     def interval(
-        self,
-        factors: Float[np.ndarray, " S"],
-        limits: tuple[float, float],
-        *,
-        exact: bool = True,
+        self, factors: Float[np.ndarray, " S"], limits: tuple[float, float], *, exact: bool = True
     ) -> Interval:
         """Gives the interval of the sum of the rates, each multiplied by its factor."""
         return bootstrap_interval(
@@ -180,8 +165,8 @@ class _Values:
             self.replicates @ factors,
             self.tiles @ factors,
             limits,
-            LeftOut(self.vehicles @ factors, self.cells @ factors),
             int(self.telling[factors != 0].min()),
+            (self.vehicles @ factors, self.cells @ factors),
             exact=exact,
         )
 

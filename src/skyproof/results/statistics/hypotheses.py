@@ -15,11 +15,7 @@ _FLIPS = 10_000
 
 
 def unchanged_p(totals: Int[np.ndarray, "repeats 3"]) -> float:
-    """Gives the largest of the repeats' McNemar p-values; 1 where they point both ways.
-
-    Args:
-        totals: pairs (both, lost, gained) of each repeat.
-    """
+    """Gives the largest of the repeats' McNemar p-values; 1 where they point both ways."""
     balance = totals[:, 1] - totals[:, 2]
     if balance.min() < 0 < balance.max():
         return 1.0
@@ -47,11 +43,8 @@ def control_p(
     drawn are swapped tile by tile: in all ways for up to 12 tiles on which they differ, else in
     10,000 random ones, the same in every call. p is the share of swaps, the observed one included,
     after which the sums differ by as much, in either direction. It is 1 unless the optimised one
-    hides more in every pair. Tiles count as independent.
-
-    Args:
-        optimised, drawn: vehicles lost minus vehicles gained per repeat or draw and tile, summed
-            over detectors, each divided by the vehicles that it found before.
+    hides more in every pair. Tiles count as independent. Given are vehicles lost minus vehicles
+    gained per tile, summed over detectors, each divided by the vehicles that it found before.
     """
     differences = (optimised[:, None] - drawn[None]).reshape(-1, optimised.shape[1])
     sums = differences.sum(axis=1)

@@ -15,7 +15,7 @@ bootstrap, which counts the chance of a single vehicle three times where most ce
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -47,14 +47,6 @@ class Interval:
 UNDEFINED = Interval(math.nan, math.nan, math.nan)
 
 
-@dataclass(frozen=True)
-class LeftOut:
-    """A statistic's values with each of V vehicles left out, and with each of N cells."""
-
-    vehicles: Float[np.ndarray, " V"]
-    cells: Float[np.ndarray, " N"]
-
-
 def resample(
     clusters: int, *, generator: np.random.Generator, replicates: int = REPLICATES
 ) -> Int[np.ndarray, "R C"]:
@@ -81,9 +73,9 @@ def cluster_interval(
     on it, and the exact binomial limit 1 − 0.025^(1/C) is used on both sides.
 
     Args:
-        counts: `[S, C, 3]` (both, lost, gained) per series (detector, camouflage) and cluster.
+        counts: (both, lost, gained) per series (detector, camouflage) and cluster.
         statistic: takes summed counts `[..., S, 3]`, gives `[...]`; nan where undefined.
-        weights: `[R, C]` from `resample`.
+        weights: from `resample`.
         limits: smallest and largest value of the statistic.
     """
     total = counts.sum(axis=1)
@@ -93,7 +85,7 @@ def cluster_interval(
         statistic(resampled(counts, weights)),
         statistic(total - by_cluster),
         limits,
-        telling=int((~np.isnan(statistic(by_cluster))).sum()),
+        int((~np.isnan(statistic(by_cluster))).sum()),
     )
 
 
@@ -108,6 +100,60 @@ def resampled(
     )
 
 
+@dataclass(frozen=True)
+class Sample:
+    """The N cells of a test, each one vehicle of the fleet on one tile.
+
+    A vehicle stands on many tiles, and a tile shows many vehicles, so neither is nested in the
+    other. All results share one sample, which pairs their differences.
+
+    Tiles and vehicles have numbers from 0 without gaps; `weights` are of `resample`.
+    """
+
+    tile: Int[np.ndarray, " N"]
+    vehicle: Int[np.ndarray, " N"]
+    weights: Int[np.ndarray, "R C"]
+
+    @classmethod
+    def draw(
+        cls,
+        cells: Sequence[tuple[str, str]],
+        *,
+        generator: np.random.Generator,
+        replicates: int = REPLICATES,
+    ) -> "Sample":
+        """Makes the sample of cells (tile, vehicle), and resamples its tiles."""
+        tiles = np.array([tile for tile, _ in cells], dtype=object)
+        vehicles = np.array([vehicle for _, vehicle in cells], dtype=object)
+        names, tile = np.unique(tiles, return_inverse=True)
+        _, vehicle = np.unique(vehicles, return_inverse=True)
+        weights = resample(len(names), generator=generator, replicates=replicates)
+        return cls(tile.reshape(-1), vehicle.reshape(-1), weights)
+
+    def by_tile(self, counts: Num[np.ndarray, "S N K"]) -> Num[np.ndarray, "S C K"]:
+        """Sums counts per tile."""
+        return _summed(counts, self.tile)
+
+    def by_vehicle(self, counts: Num[np.ndarray, "S N K"]) -> Num[np.ndarray, "S V K"]:
+        """Sums counts per vehicle of the fleet."""
+        return _summed(counts, self.vehicle)
+
+    def replicates(self, counts: Num[np.ndarray, "S N 3"]) -> Float[np.ndarray, "R S 3"]:
+        """Sums counts over the resampled tiles of every replicate; vehicles stay as they are."""
+        return resampled(self.by_tile(counts), self.weights)
+
+
+def _summed(
+    counts: Num[np.ndarray, "S N K"], number: Int[np.ndarray, " N"]
+) -> Num[np.ndarray, "S G K"]:
+    """Sums the counts of the cells of each group."""
+    if not len(number):
+        return counts
+    order = np.argsort(number, kind="stable")
+    starts = np.searchsorted(number[order], np.arange(int(number.max()) + 1))
+    return np.add.reduceat(counts[:, order], starts, axis=1)
+
+
 def is_unanimous(replicates: Float[np.ndarray, " R"]) -> bool:
     """Says whether all defined replicates agree."""
     defined = replicates[~np.isnan(replicates)]
@@ -119,8 +165,8 @@ def bootstrap_interval(
     replicates: Float[np.ndarray, " R"],
     left_one_out: Float[np.ndarray, " C"],
     limits: tuple[float, float],
-    crossed: LeftOut | None = None,
-    telling: int | None = None,
+    telling: int,
+    crossed: tuple[Float[np.ndarray, " V"], Float[np.ndarray, " N"]] | None = None,
     *,
     exact: bool = True,
 ) -> Interval:
@@ -134,12 +180,11 @@ def bootstrap_interval(
 
     Args:
         estimate: the statistic of all clusters.
-        replicates: its values in the replicates; nan where undefined.
-        left_one_out: its values with each cluster left out.
+        replicates, left_one_out: its values in the replicates, and with each cluster left out; nan
+            where undefined.
         limits: smallest and largest value of the statistic.
-        crossed: its values with vehicles and with cells left out, if crossed.
-        telling: number of clusters, or vehicles where these are fewer, on which it is defined; all
-            by default.
+        telling: number of clusters, or vehicles where these are fewer, on which it is defined.
+        crossed: its values with each vehicle and with each cell left out, if crossed.
         exact: whether the effective number of vehicles sets limits as well. It does so for one
             rate, not for a difference of two.
     """
@@ -151,15 +196,13 @@ def bootstrap_interval(
     errors = {"tiles": math.sqrt(variance)}
     added = 0.0
     trials = clusters
-    if crossed is not None and len(crossed.vehicles) > 1:
-        added, degrees = _crossed(variance, degrees, crossed)
+    if crossed is not None and len(crossed[0]) > 1:
+        added, degrees = _crossed(variance, degrees, *crossed)
         errors["vehicles"] = math.sqrt(added)
-        trials = min(clusters, len(crossed.vehicles))
-    if telling is not None:
-        trials = max(1, min(trials, telling))
+        trials = min(clusters, len(crossed[0]))
     unanimous = is_unanimous(replicates)
     if unanimous:
-        margin = unanimous_margin(trials)
+        margin = unanimous_margin(max(1, min(trials, telling)))
         low = estimate - margin
         high = estimate + margin
     else:
@@ -195,14 +238,19 @@ def _jackknife(left_one_out: Float[np.ndarray, " C"]) -> tuple[float, float]:
     return variance, min(clusters - 1.0, support)
 
 
-def _crossed(variance: float, degrees: float, crossed: LeftOut) -> tuple[float, float]:
+def _crossed(
+    variance: float,
+    degrees: float,
+    vehicles: Float[np.ndarray, " V"],
+    cells: Float[np.ndarray, " N"],
+) -> tuple[float, float]:
     """Gives the vehicles' part of the variance, and Satterthwaite's degrees of freedom of both.
 
     The variance of clusters crossed two ways is V_tiles + V_vehicles − V_cells (Cameron, Gelbach
     and Miller 2011), and at least that of each way alone.
     """
-    by_vehicle, own = _jackknife(crossed.vehicles)
-    by_cell, _ = _jackknife(crossed.cells)
+    by_vehicle, own = _jackknife(vehicles)
+    by_cell, _ = _jackknife(cells)
     added = max(by_vehicle - by_cell, by_vehicle - variance, 0.0)
     if added == 0:
         return 0.0, degrees
@@ -218,11 +266,6 @@ def effective_limits(
     vehicles. That is multiplied by (1.96 / t)², t being Student's quantile, because the variance is
     itself estimated (Korn and Graubard 1998). An estimate on an end of `span` or outside has no
     such limits. Difference from Korn and Graubard: the size may exceed the sample's.
-
-    Args:
-        estimate: a rate or a difference of rates.
-        variance, degrees: variance of the estimate with its degrees of freedom.
-        span: smallest and largest value of the estimate.
     """
     width = span[1] - span[0]
     share = (estimate - span[0]) / width

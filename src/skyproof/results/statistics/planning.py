@@ -1,20 +1,25 @@
-"""How wide the interval of a planned test will be, and how many tiles a wanted width takes."""
+"""Planned tests: widths of intervals, chances of a decision, and the tiles that either takes.
 
+`skyproof.results.statistics.acceptance` decides a real test without assumptions. A plan assumes an
+intra-tile correlation.
+"""
+
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float, Int
-from msgspec import Meta
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
-from skyproof.ranges import Fraction, check_ranges
 from skyproof.results.pairs.counts import OutcomeCounts
-from skyproof.results.statistics.intervals import effective_limits, unanimous_margin
-from skyproof.results.statistics.sample import Sample
+from skyproof.results.statistics.acceptance import Requirement, evidence_above, evidence_below
+from skyproof.results.statistics.intervals import Sample, effective_limits, unanimous_margin
 
 _MOST_TILES = 10**9
+_MOST_TRIALS = 20_000
+_RUNS = 400
+_DECIDED = 0.9
 
 
 @dataclass(frozen=True)
@@ -32,15 +37,21 @@ class Assumptions:
         vehicle_correlation: correlation of one vehicle's fates on different tiles.
     """
 
-    easr: Fraction
-    vehicles_per_tile: Annotated[float, Meta(gt=0, le=1e6)] = 9.0
-    found_before: Annotated[float, Meta(gt=0, le=1)] = 1.0
-    design_effect: Annotated[float, Meta(ge=1, le=1e6)] = 1.8
-    fleet: Annotated[int, Meta(ge=1, le=10**6)] = 32
-    vehicle_correlation: Fraction = 0.05
+    easr: float
+    vehicles_per_tile: float = 9.0
+    found_before: float = 1.0
+    design_effect: float = 1.8
+    fleet: int = 32
+    vehicle_correlation: float = 0.05
 
-    def __post_init__(self) -> None:
-        check_ranges(self)
+
+@dataclass(frozen=True)
+class DecisionChances:
+    """The chances of acceptance and rejection by the share lost; the rest is undecided."""
+
+    shares: Float[np.ndarray, " S"]
+    accepted: Float[np.ndarray, " S"]
+    rejected: Float[np.ndarray, " S"]
 
 
 def tiles_needed(half_width: float, assumptions: Assumptions) -> int | None:
@@ -48,19 +59,34 @@ def tiles_needed(half_width: float, assumptions: Assumptions) -> int | None:
 
     None where no number of tiles is enough, because the fleet is too small.
     """
-    if expected_half_width(_MOST_TILES, assumptions) > half_width:
-        return None
-    enough = 2
-    while expected_half_width(enough, assumptions) > half_width:
-        enough *= 2
-    few = enough // 2
-    while enough - few > 1:
-        middle = (few + enough) // 2
-        if middle >= 2 and expected_half_width(middle, assumptions) <= half_width:
-            enough = middle
-        else:
-            few = middle
-    return enough
+
+    def enough(tiles: int) -> bool:
+        return expected_half_width(tiles, assumptions) <= half_width
+
+    return _fewest(enough, 2) if enough(_MOST_TILES) else None
+
+
+def tiles_to_decide(requirement: Requirement, assumptions: Assumptions) -> int:
+    """Gives the tiles on which nine of ten tests decide rightly, as `chances_on_tiles` simulates.
+
+    The detector loses as much as `accept`, or as `reject`, whichever takes longer. More than 20,000
+    tiles are refused.
+    """
+
+    def enough(tiles: int) -> bool:
+        if tiles > _MOST_TRIALS:
+            raise ConfigurationError(
+                f"On no {_MOST_TRIALS:,} tiles do nine of ten tests decide between "
+                f"{100 * requirement.accept:g} % and {100 * requirement.reject:g} %; set the two "
+                "shares farther apart."
+            )
+        accepted, _ = _chances(requirement, assumptions, tiles, requirement.accept)
+        if accepted < _DECIDED:
+            return False
+        _, rejected = _chances(requirement, assumptions, tiles, requirement.reject)
+        return rejected >= _DECIDED
+
+    return _fewest(enough, 4, 50)
 
 
 def tiles_to_show(needed: int, scenes: int) -> int:
@@ -74,7 +100,7 @@ def tiles_to_show(needed: int, scenes: int) -> int:
 
 
 def expected_half_width(tiles: int, assumptions: Assumptions) -> float:
-    """Estimates half the width of the interval of EASR for one detector on this number of tiles.
+    """Estimates half the width of the 95 % interval of EASR for one detector.
 
     The variance of EASR is that of a ratio, linearised: of the vehicles found before, a share EASR
     is lost (influence 1 − EASR) and the rest kept (−EASR). It is multiplied by the design effect,
@@ -98,16 +124,12 @@ def expected_half_width(tiles: int, assumptions: Assumptions) -> float:
     return (high - low) / 2
 
 
-def assume_from_pilot(pilot: OutcomeCounts, *, match: str = "centre_1m") -> Assumptions:
+def assume_from_pilot(pilot: OutcomeCounts) -> Assumptions:
     """Estimates assumptions from a test: rates, vehicles a tile, share found and design effect.
 
     Rates, vehicles a tile and the share found are those of the least certain optimised camouflage
     and detector. The design effect is the median over all (jackknife variance over tiles over that
     of independent vehicles).
-
-    Raises:
-        ConfigurationError: the test has no optimised camouflage, fewer than three tiles, or nothing
-            changed in it.
     """
     effects: list[float] = []
     series: list[tuple[float, Int[np.ndarray, "C 4"]]] = []
@@ -115,7 +137,7 @@ def assume_from_pilot(pilot: OutcomeCounts, *, match: str = "centre_1m") -> Assu
         _, both, lost, gained = (int(value) for value in counts.sum(axis=0))
         found = both + lost
         camouflage = CamouflageName.read(key.camouflage)
-        if camouflage.random or camouflage.kept_copy or key.match != match or not found:
+        if camouflage.random or camouflage.kept_copy or key.match != "centre_1m" or not found:
             continue
         seen = counts[:, 0] > 0
         cells = [cell for cell, here in zip(pilot.cells, seen, strict=True) if here]
@@ -142,6 +164,59 @@ def assume_from_pilot(pilot: OutcomeCounts, *, match: str = "centre_1m") -> Assu
         found_before=(both + lost) / vehicles,
         design_effect=float(np.median(effects)),
     )
+
+
+def chances_on_tiles(
+    requirement: Requirement, assumptions: Assumptions, tiles: int
+) -> DecisionChances:
+    """Simulates the operating characteristic of a test with one attack.
+
+    Tiles show 1 vehicle or more by a Poisson distribution, and each is found before by chance. A
+    tile without a found vehicle is passed over. The rates of tiles have a beta distribution with
+    the correlation of the design effect.
+    """
+    shares = np.linspace(0.0, 1.0, 41)
+    chances = [_chances(requirement, assumptions, tiles, float(share)) for share in shares]
+    return DecisionChances(shares, *np.array(chances).T)
+
+
+def _chances(
+    requirement: Requirement, assumptions: Assumptions, tiles: int, share: float
+) -> tuple[float, float]:
+    """Gives the chances of acceptance and of rejection of a detector that loses this share."""
+    generator = np.random.default_rng(0)
+    found_per_tile = assumptions.vehicles_per_tile * assumptions.found_before
+    correlation = (assumptions.design_effect - 1) / max(found_per_tile - 1, 1e-9)
+    certainty = 1 / min(max(correlation, 1e-6), 1 - 1e-6) - 1
+    # A beta distribution has no rate of exactly 0 or 1.
+    inside = min(max(share, 1e-9), 1 - 1e-9)
+    shape = (_RUNS, tiles)
+    shown = 1 + generator.poisson(max(assumptions.vehicles_per_tile - 1, 0.0), shape)
+    found = generator.binomial(shown, assumptions.found_before)
+    rate = generator.beta(inside * certainty, (1 - inside) * certainty, shape)
+    shares = generator.binomial(found, rate) / np.maximum(found, 1)
+    # A share at the limit is no evidence either way.
+    below, above = (
+        np.where(found > 0, shares, limit) for limit in (requirement.reject, requirement.accept)
+    )
+    accepted = evidence_below(below, requirement.reject) >= 1 / requirement.consumer_risk
+    rejected = evidence_above(above, requirement.accept) >= 1 / requirement.producer_risk
+    return float(accepted.mean()), float((rejected & ~accepted).mean())
+
+
+def _fewest(enough: Callable[[int], bool], start: int, precision: int | None = None) -> int:
+    """Gives the fewest tiles, `start` or more, that are enough; to a part of 1/`precision`."""
+    many = start
+    while not enough(many):
+        many *= 2
+    few = many // 2
+    while many - few > max(1, many // precision if precision else 1):
+        middle = (few + many) // 2
+        if enough(middle):
+            many = middle
+        else:
+            few = middle
+    return many
 
 
 def _clustered(influence: Float[np.ndarray, " G"]) -> float:

@@ -10,13 +10,6 @@ import numpy.typing as npt
 from jaxtyping import Float, Num
 
 
-def column_of_pair(*, before: bool, after: bool) -> int | None:
-    """Gives the column (both, lost, gained) of a vehicle; None if it was missed in both images."""
-    if before:
-        return 0 if after else 1
-    return 2 if after else None
-
-
 def attack_success_rate(counts: Num[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape"]:
     """Gives ASR = |V_dm| / |V_dd ∪ V_dm|, the share of found vehicles now missed; else nan."""
     return _divide(counts[..., 1], counts[..., 0] + counts[..., 1])

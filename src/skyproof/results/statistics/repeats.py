@@ -13,12 +13,9 @@ _TAIL = 0.025
 
 @dataclass(frozen=True)
 class RepeatKind:
-    """A kind of repeat.
+    """A kind of repeat, with the expected standard deviation of its rates, which counts as one.
 
-    Attributes:
-        name: "seeds", "draws" or "trainings".
-        usual_sd: expected standard deviation of their rates. It counts as one repeat.
-        paired_sd: expected standard deviation of a repeat's differences between two places.
+    `paired_sd` is that of a repeat's differences between two places.
     """
 
     name: str
@@ -46,12 +43,9 @@ difference has the same standard deviation."""
 
 @dataclass(frozen=True)
 class Repeat:
-    """The repeat that a series belongs to.
+    """The repeat of something ("R-U", or "detectors") that a series belongs to.
 
-    Attributes:
-        of: the thing repeated: "R-U", or "detectors".
-        number: number of the repeat; series that share it (detectors, renderers) are of one repeat.
-        kind: seeds, draws or trainings.
+    Series that share the number (detectors, renderers) are of one repeat.
     """
 
     of: str
@@ -61,12 +55,7 @@ class Repeat:
 
 @dataclass(frozen=True)
 class Spread:
-    """The uncertainty of a sum of rates due to repeats.
-
-    Attributes:
-        variances: variances of the sum, by name of the kind.
-        below, above: distances of the 95 % limits from the sum.
-    """
+    """The variances of a sum of rates by kind of repeat, and the distances of its 95 % limits."""
 
     variances: dict[str, float]
     below: float
@@ -86,13 +75,9 @@ def spread_of_repeats(
     to this seed, draw or training alone.
 
     Half-widths are Student's; those of several things are squared and added. None reaches beyond
-    the range of a mean of repeats: from 0 to 1, or to a repeat that lies beyond.
-
-    Args:
-        values: rates of the series.
-        factors: their factors in the sum.
-        repeats: repeats of each series, one for each thing: a control on the second of three
-            trainings is one of its draws and one of the trainings.
+    the range of a mean of repeats: from 0 to 1, or to a repeat that lies beyond. A series may be a
+    repeat of several things: a control on the second of three trainings is one of its draws and one
+    of the trainings.
     """
     variances: dict[str, float] = {}
     margins: list[tuple[float, float]] = []
@@ -115,9 +100,10 @@ def spread_of_repeats(
         paired = bool(weights.min() > 0)
         usual = kind.paired_sd if paired else kind.usual_sd
         scale = float(weights.sum(axis=1).max())
-        variance = _variance(usual * scale, count, float(np.sum((sums - sums.mean()) ** 2)))
+        squares = float(np.sum((sums - sums.mean()) ** 2))
+        variance = ((usual * scale) ** 2 + squares) / count**2
         variances[kind.name] = variances.get(kind.name, 0.0) + variance
-        margin = math.sqrt(variance) * _quantile(count)
+        margin = math.sqrt(variance) * float(special.stdtrit(count, 1 - _TAIL))
         if paired:
             margins.append((margin, margin))
             continue
@@ -131,12 +117,3 @@ def spread_of_repeats(
         math.hypot(*(below for below, _ in margins)),
         math.hypot(*(above for _, above in margins)),
     )
-
-
-def _variance(usual_sd: float, count: int, squares: float) -> float:
-    """Gives the variance of the mean, from the summed squares about it."""
-    return (usual_sd**2 + squares) / count**2
-
-
-def _quantile(degrees: int) -> float:
-    return float(special.stdtrit(degrees, 1 - _TAIL))
