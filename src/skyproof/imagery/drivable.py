@@ -28,8 +28,8 @@ DARKEST, BRIGHTEST = 0.15, 0.85
 """Asphalt and concrete, in sRGB from 0 to 1: grey, and neither shadow nor white roof."""
 CHROMA_NEAR = 0.03
 BRIGHTNESS_NEAR = 0.35
-"""Ground looks like that beside a labelled vehicle if its shares of red, green and blue differ by
-less than the first, and its brightness by less than this share."""
+"""Largest differences to ground beside a vehicle, in shares of red, green and blue, and in
+brightness as a share."""
 BESIDE_M = (0.4, 1.5)
 TOUCHING_M = 1.5
 DIRECTION_WITHIN_M = 3.0
@@ -41,22 +41,11 @@ def drivable_directions(
 ) -> UInt8[np.ndarray, "H W"]:
     """Makes a tile's map of drivable ground (`skyproof.scenes.directions`) from its picture.
 
-    Drivable ground is plain (without dark texture or steps over some metres, except painted lines),
-    wide enough for a vehicle (2.5 m, over 5.3 m), and
-
-    - without labels, grey: hardly saturated, not green, neither in shadow nor white;
-    - with labels, of a colour as beside one of the tile's vehicles, and connected with the place of
-      a vehicle.
-
-    The heading runs along the edges around: the direction
-    of least change by the structure tensor of the picture, within some 3 m.
-
-    Limits: without labels flat grey roofs and squares count as drivable, and tracks of soil do not.
-    With labels only ground near vehicles counts. A crossing has one direction. A bay of a car park
-    has its own only if its lines outweigh those of the rows. Lanes are not known.
-
-    Args:
-        vehicles: boxes of the labelled vehicles, pixel xyxy; None for an unlabelled tile.
+    Drivable ground is plain (without dark texture or steps, except painted lines) and wide enough
+    for a vehicle. Without labels (None) it is also grey: hardly saturated, not green, neither in
+    shadow nor white. With the boxes of labelled vehicles it has a colour as beside one of them, and
+    connects with the place of one. The heading runs along the edges around: the direction of least
+    change by the structure tensor of the picture. Limits: docs/imagery.md.
     """
     cell_px = max(1, round(CELL_M / gsd_m))
     cell_m = cell_px * gsd_m

@@ -72,16 +72,12 @@ def read_frames_folder(
 ) -> Dataset:
     """Reads images of 8 bits with labels in pixels: COCO, YOLO text or DOTA text.
 
-    Labels and sizes are read at once, pixels on demand.
-
     Args:
         folder: folder of the images, or of an `images` folder.
         labels: path for `read_labels`; `folder` by default.
-        target_gsd_m: resolution to which images and boxes are resampled, with anti-aliasing.
+        target_gsd_m: resolution to which images and boxes are resampled.
         classes: names that count as vehicles; every other class becomes an ignore region.
-        border_px: width in source pixels of a border band that is not scored; a box whose centre
-            lies in it becomes an ignore region.
-        pattern: pattern of the images' file names, for folders of several resolutions or places.
+        border_px: width in source pixels of a border band that is not scored.
 
     Raises:
         ImageryError: there are no images, or one is damaged or has no labels; the labels lack a

@@ -1,7 +1,4 @@
-"""Opens rasters with GDAL: known formats, stated limits, nothing from elsewhere.
-
-A VRT names other files and may hold code. It may name only images in its own folder.
-"""
+"""Opens rasters with GDAL: known formats, stated limits, nothing from elsewhere."""
 
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path

@@ -77,7 +77,7 @@ class _Found:
     detected: Boxes
     vehicles: Boxes
     removed: tuple[RemovedVehicle, ...]
-    profiles: Float[Tensor, "k directions layers"] | None
+    profiles: Float[Tensor, "k directions layers"]
 
     @property
     def boxes(self) -> Boxes:
@@ -136,22 +136,24 @@ def clear_backgrounds(
         check_resolution(used, backgrounds.gsd_m)
     clearing = _Clearing(backgrounds, out, labels, fill, finder, checker)
     # Vehicles of all tiles come first: a shadow is estimated from all tiles of one picture.
-    found = {}
+    found: dict[str, _Found] = {}
+    profiles: dict[str, list[Tensor]] = defaultdict(list)
     for done, tile in enumerate(tiles, start=1):
         found[tile.id] = _find(clearing, tile)
+        profiles[picture_of(tile)].append(found[tile.id].profiles)
         if progress is not None:
             progress("find", done, len(tiles))
-    shadows = _shadows(tiles, found)
+    shadows = {picture: estimate_shadow(measured) for picture, measured in profiles.items()}
     lights = measured_lights(backgrounds, tiles, {name: one.removed for name, one in found.items()})
     rows, kept = [], []
     with ContactSheet(out / "sheets") as sheet:
         for done, tile in enumerate(tiles, start=1):
             shadow = shadows[picture_of(tile)]
-            row = _clear_tile(clearing, tile, found[tile.id], shadow, sheet)
+            row, image = _clear_tile(clearing, tile, found[tile.id], shadow, sheet)
             rows.append(row)
             if row.left_out is None:
                 lit = replace(tile, light=lights[tile.id])
-                kept.append(_with_places(clearing, lit, found[tile.id]))
+                kept.append(_stored(clearing, lit, image, found[tile.id]))
             if progress is not None:
                 progress("clear", done, len(tiles))
     record = _record(clearing, rows, shadows)
@@ -180,24 +182,13 @@ def _find(clearing: _Clearing, tile: BackgroundTile) -> _Found:
         seen = finder.detections(image)
         detected = other_vehicles(seen, labelled)
         labelled = grown_to_what_is_seen(labelled, seen)
-    boxes = torch.cat([labelled, detected])
     return _Found(
         labelled,
         detected,
         torch.cat([boxes_of(labels.vehicles), detected]),
         removed_vehicles(image, labels, detected, gsd_m),
-        darkness_profiles(image, boxes, gsd_m=gsd_m) if len(boxes) else None,
+        darkness_profiles(image, torch.cat([labelled, detected]), gsd_m=gsd_m),
     )
-
-
-def _shadows(
-    tiles: Sequence[BackgroundTile], found: Mapping[str, _Found]
-) -> dict[str, Shadow | None]:
-    profiles: dict[str, list[Tensor]] = defaultdict(list)
-    for tile in tiles:
-        profile = found[tile.id].profiles
-        profiles[picture_of(tile)] += [] if profile is None else [profile]
-    return {picture: estimate_shadow(measured) for picture, measured in profiles.items()}
 
 
 def _clear_tile(
@@ -206,8 +197,8 @@ def _clear_tile(
     found: _Found,
     shadow: Shadow | None,
     sheet: ContactSheet,
-) -> Cleared:
-    """Fills one tile, checks it, stores it, and adds it to the sheet if it changed."""
+) -> tuple[Cleared, Pixels]:
+    """Fills one tile, checks it, and adds it to the sheet if it changed."""
     checker, gsd_m = clearing.checker, clearing.backgrounds.gsd_m
     row = Cleared(tile.id, tile.split, len(found.labelled), len(found.detected), len(found.removed))
     before = image = clearing.backgrounds.pixels(tile.id)
@@ -235,22 +226,22 @@ def _clear_tile(
         row.detected += len(remaining)
         boxes = remaining
     kept = row.left_out is None
-    if kept:
-        save_tile(clearing.out, tile, image)
     if mask.any() or not kept:
         sheet.add(SheetRow(tile.id, _caption(row), kept, before, image, mask, remaining))
-    return row
+    return row, image
 
 
-def _with_places(clearing: _Clearing, tile: BackgroundTile, found: _Found) -> BackgroundTile:
-    """Adds the places of its vehicles and a new map of drivable ground to a cleared tile."""
+def _stored(
+    clearing: _Clearing, tile: BackgroundTile, image: Pixels, found: _Found
+) -> BackgroundTile:
+    """Writes a cleared tile, with the places of its vehicles and a new map of drivable ground."""
     backgrounds, out = clearing.backgrounds, clearing.out
-    cleared = BackgroundSet(out, backgrounds.gsd_m, [tile]).pixels(tile.id)
+    save_tile(out, tile, image)
     shade = backgrounds.shade(tile.id)
     cover = backgrounds.cover(tile.id)
     # On an unlabelled tile, the absence of finds does not mean that no vehicle may stand there.
     stood = found.vehicles if clearing.labels is not None or len(found.vehicles) else None
-    directions = drivable_directions(cleared, backgrounds.gsd_m, stood)
+    directions = drivable_directions(image, backgrounds.gsd_m, stood)
     return replace(
         tile,
         removed=(*tile.removed, *found.removed),

@@ -58,10 +58,9 @@ def fill_by_exemplar(image: Array, mask: Flags) -> Array:
     """Returns `[H, W, 3]` with `mask` filled with ground of the same picture, unchanged elsewhere.
 
     For every piece of a hole the known ring around it is compared with the same ring at all shifts
-    within a reach (exactly, by Fourier transform). Each of the best shifts fills the side that it
-    suits best, and a screened Poisson equation joins them to the ring, so that texture and noise
-    are the picture's own and no step is left. If no place nearby is large enough and free of
-    vehicles, the colours of the hole's edge go on into it smoothly.
+    within a reach (by Fourier transform). Each of the best shifts fills the side that it suits
+    best, and a screened Poisson equation joins them to the ring. If no place nearby is large enough
+    and free of vehicles, the colours of the hole's edge go on into it smoothly.
     """
     filled = image.copy()
     unknown = mask.copy()
@@ -226,9 +225,8 @@ def _shifted(values: NDArray[Any], shift: Shift) -> NDArray[Any]:
 def _join(window: _Window, copies: Array, choice: NDArray[np.int64], hold: float) -> Array:
     """Solves a screened Poisson equation in the hole.
 
-    The result approaches the differences between neighbours in `copies` `[S, H, W, 3]`, of which
-    `choice` gives the number of each pixel, the ring and, with weight `hold`, the copies
-    themselves, so that a difference at one place of the ring does not spread through the hole.
+    The result approaches the differences between neighbours in `copies` `[S, H, W, 3]`, chosen by
+    `choice`, the ring and, with weight `hold`, the copies themselves.
     """
     # The numbered pixels of the hole are the unknowns.
     rows, columns = np.nonzero(window.hole)

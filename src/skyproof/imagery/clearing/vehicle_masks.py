@@ -37,13 +37,10 @@ SAME_VEHICLE_IOU = 0.3
 
 @dataclass(frozen=True)
 class Shadow:
-    """The shadow that vehicles of one picture cast on the ground.
+    """The shadow that vehicles of one picture cast: its fall, and its reach beyond their boxes.
 
-    Attributes:
-        direction: unit vector (x right, y down) of its fall; (0, 0) without a directed shadow.
-        length_m: reach beyond a vehicle's box.
-        contrast: darkness of the shadow side less that of the other, as a share of brightness.
-        vehicles: number of measured vehicles.
+    The direction is a unit vector (x right, y down), or (0, 0). The contrast is the darkness of the
+    shadow side less that of the other, as a share of brightness.
     """
 
     direction: tuple[float, float]
@@ -76,10 +73,9 @@ def darkness_profiles(
 ) -> Float[Tensor, "n directions layers"]:
     """Measures how dark the ground beside each box is, by direction and by layer outwards.
 
-    Each box is turned about its middle by its heading, if given, from x (right) towards up. A layer
-    is the ground that a box newly covers when it moves by `LAYER_M`. Values are 1 - brightness /
-    brightness of the ground around the vehicle (the median within 4 m), cut to [-0.5, 1]. They are
-    nan if other boxes or the picture's edge leave no pixels.
+    Each box is turned about its middle by its heading, if given. A layer is the ground that a box
+    newly covers when it moves by `LAYER_M`. Values are 1 - brightness / median brightness within 4
+    m, cut to [-0.5, 1], or nan if other boxes or the picture's edge leave no pixels.
     """
     grey = image.double().mean(0).numpy()
     turns = [0.0] * len(boxes) if headings_rad is None else list(headings_rad)
@@ -108,11 +104,9 @@ def darkness_profiles(
 def estimate_shadow(profiles: Iterable[Float[Tensor, "_ directions layers"]]) -> Shadow | None:
     """Estimates the shadow that all vehicles of one picture share; None with fewer than 3 vehicles.
 
-    The direction is the sum of all directions weighted by the darkness of the ground within 1 m of
-    the boxes (the median over vehicles). The shadow ends where the darkness, less that of the side
-    across, falls below a quarter of its largest value. It has no direction if no side is darker
-    than the one across, as under an overcast sky, or if it does not end within 6 m, as that of
-    trees.
+    It ends where the darkness, less that of the side across, falls below a quarter of its largest
+    value. It has no direction if no side is darker than the one across, as under an overcast sky,
+    or if it does not end within 6 m, as that of trees.
     """
     stacked = stack_profiles(profiles)
     if len(stacked) < FEWEST_VEHICLES:
@@ -143,8 +137,8 @@ def stack_profiles(profiles: Iterable[Float[Tensor, "_ directions layers"]]) -> 
 def shadow_side(stacked: Array, near_m: float = NEAR_M) -> tuple[tuple[float, float], Array, float]:
     """Finds the side of the boxes on which the ground within `near_m` is dark.
 
-    It returns the sum of all directions (x right, y down), weighted by the darkness near the boxes,
-    then the darkness by layer on that side, and near the boxes, both less those of the side across.
+    It returns the sum of all directions, weighted by the darkness near the boxes (the median over
+    vehicles), then the darkness by layer there, and near the boxes, less those of the side across.
     """
     near_layers = round(near_m / LAYER_M)
     near = _median_of(stacked[:, :, :near_layers].reshape(len(stacked), -1))

@@ -46,16 +46,15 @@ class _LabelForm(msgspec.Struct):
 
 
 def read_labels(path: Path) -> Labels:
-    """Reads labels of any known form, which it recognises by itself.
+    """Reads labels of any known form.
 
-    A file is COCO, GeoJSON if it is a FeatureCollection, or another vector file. A folder is YOLO
-    text if it holds `data.yaml` or one `.names` file, COCO if it holds `annotations.json` (as our
-    own datasets do), and DOTA text by its `.txt` files, or those in `labelTxt/`.
+    A folder is YOLO text if it holds `data.yaml` or one `.names` file, COCO if it holds
+    `annotations.json` (as our own datasets do), and DOTA text by its `.txt` files, or those in
+    `labelTxt/`.
 
     Raises:
         ImageryError: the path is missing, empty, damaged or of another form.
     """
-    path = Path(path)
     if path.is_dir():
         return _read_folder(path)
     if not path.is_file():
@@ -105,9 +104,8 @@ def _read_ground_labels(path: Path, crs_member: Any = None) -> GroundLabels:
     """Reads points and outlines of a vector file with one layer.
 
     The four corners of an outline are kept; any other outline becomes the upright box around it.
-    GeoJSON coordinates are longitude and latitude (WGS 84), unless a `crs` member, which GDAL still
-    writes, names another system. GDAL reads an unknown one as WGS 84. A property `ignore` that is
-    true marks a region that is not scored.
+    GDAL reads GeoJSON whose `crs` member names an unknown system as WGS 84. A property `ignore`
+    that is true marks a region that is not scored.
     """
     # Loaded only for labels on the ground: it takes a second.
     import geopandas

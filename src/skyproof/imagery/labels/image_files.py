@@ -109,9 +109,8 @@ def read_coco_labels(path: Path) -> ImageLabels:
     for image in document.images:
         # Only the name of a path counts: no file is opened by it.
         names[image.id] = Path(image.file_name).stem
-        sized = image.width and image.height
-        size_px = (int(image.width or 0), int(image.height or 0)) if sized else None
-        images.add_image(names[image.id], size_px)
+        size_px = int(image.width or 0), int(image.height or 0)
+        images.add_image(names[image.id], size_px if image.width and image.height else None)
     if not names:
         raise ImageryError(f"{path} lists no images; give another file.")
     for number, row in enumerate(document.annotations, 1):
@@ -146,9 +145,8 @@ def class_file(folder: Path) -> Path | None:
 def read_yolo_labels(folder: Path, names: Path) -> ImageLabels:
     """Reads `.txt` files beside their images, or in `labels/` beside `images/`.
 
-    Lines are `class cx cy w h`, or `class x1 y1 x2 y2 x3 y3 x4 y4` for oriented boxes, as shares of
-    the image's width and height. The class counts from 0 in the file `names`. Texts without an
-    image of their name, such as a read-me, are skipped.
+    Lines are `class cx cy w h` or `class x1 y1 ... x4 y4`, as shares of the image's sides. Texts
+    without an image of their name, such as a read-me, are skipped.
     """
     classes = _classes(names)
     images = _LabelledImages(folder)
@@ -157,11 +155,10 @@ def read_yolo_labels(folder: Path, names: Path) -> ImageLabels:
         image = _image_of(text)
         if image is None:
             continue
-        name = image.stem
-        images.add_image(name, _image_size_px(image))
-        for number, words in text_lines(text):
-            where = f"{text} line {number}"
-            images.add(name, _yolo_label(where, words, classes, images.sizes_px[name]), where)
+        size_px = _image_size_px(image)
+        images.add_image(image.stem, size_px)
+        for where, words in text_lines(text):
+            images.add(image.stem, _yolo_label(where, words, classes, size_px), where)
     if not images.labels:
         raise ImageryError(
             f"{folder} holds no label text (.txt) with an image of the same name; give another "
@@ -238,30 +235,30 @@ def is_dota_line(words: list[str]) -> bool:
         _finite_numbers(words[:8])
     except ValueError:
         return False
+    return len(words) > 8 and not _is_number(words[8])
+
+
+def _is_number(word: str) -> bool:
     try:
-        float(words[8])
+        float(word)
     except ValueError:
-        return True
-    except IndexError:
         return False
-    return False
+    return True
 
 
 def read_dota_labels(folder: Path) -> ImageLabels:
-    """Reads `x1 y1 x2 y2 x3 y3 x4 y4 class difficult` lines, one `.txt` an image.
+    """Reads `x1 y1 ... x4 y4 class difficult` lines, one `.txt` an image.
 
-    Difficult objects become ignore regions. If the image lies beside its text, or in `images/`
-    beside `labelTxt/`, the labels are checked against its size.
+    Difficult objects become ignore regions. Labels are checked against the size of an image beside
+    the text, or in `images/` beside `labelTxt/`.
     """
     images = _LabelledImages(folder)
     for text in sorted(folder.glob("*.txt")):
         image = _image_of(text)
-        name = text.stem
-        images.add_image(name, None if image is None else _image_size_px(image))
-        for number, words in text_lines(text):
+        images.add_image(text.stem, None if image is None else _image_size_px(image))
+        for where, words in text_lines(text):
             if not words[0].lower().startswith(_DOTA_HEADERS):
-                where = f"{text} line {number}"
-                images.add(name, _dota_label(where, words), where)
+                images.add(text.stem, _dota_label(where, words), where)
     return images.with_classes(
         sorted({label.class_name for labels in images.labels.values() for label in labels})
     )
@@ -291,10 +288,10 @@ def _read_text(path: Path) -> str:
         ) from error
 
 
-def text_lines(path: Path) -> list[tuple[int, list[str]]]:
-    """Returns the words of every line that is not blank, with its number from 1."""
-    lines = _read_text(path).splitlines()
-    return [(number, line.split()) for number, line in enumerate(lines, 1) if line.strip()]
+def text_lines(path: Path) -> list[tuple[str, list[str]]]:
+    """Returns file and number of every line that is not blank, for messages, and its words."""
+    lines = enumerate(_read_text(path).splitlines(), 1)
+    return [(f"{path} line {number}", line.split()) for number, line in lines if line.strip()]
 
 
 def _finite_numbers(words: Sequence[str]) -> list[float]:

@@ -22,11 +22,7 @@ _SLACK = 0.005
 
 @dataclass(frozen=True)
 class Label:
-    """One labelled object.
-
-    Its corners are four (x, y) in order around it, or one if only its place is known. `ignore`
-    excludes it from the score (COCO's iscrowd, DOTA's difficult).
-    """
+    """One labelled object: four corners (x, y) in order around it, or one; `ignore` is unscored."""
 
     class_name: str
     corners: tuple[Point, ...]
@@ -66,10 +62,7 @@ class Label:
         )
 
     def corners_lengthwise(self) -> tuple[Point, ...]:
-        """Returns its corners in pixels: front left, front right, rear right, rear left.
-
-        The front is the short side that begins with the earlier corner.
-        """
+        """Returns front left, front right, rear right and rear left; a short side is the front."""
         corners = self.corners
         area = sum(
             x0 * y1 - x1 * y0
@@ -87,10 +80,7 @@ class Label:
 class ImageLabels:
     """Labels in pixels, x right and y down from the top-left corner of the top-left pixel.
 
-    Attributes:
-        classes: every class name of the file, also those without an object.
-        images: labels of each labelled image, by its file's name without the ending.
-        sizes_px: width and height of each image, if the file or the image beside it states them.
+    Images are named by their files without the ending. Their widths and heights may not be known.
     """
 
     classes: tuple[str, ...]
@@ -100,13 +90,7 @@ class ImageLabels:
 
 @dataclass(frozen=True)
 class GroundLabels:
-    """Labels in map coordinates.
-
-    Attributes:
-        classes: every class name that occurs.
-        labels: corners in the reference system `crs`; longitude before latitude, east before north.
-        crs: as rasterio's CRS.from_user_input takes it, such as "EPSG:4326" or "EPSG:2193".
-    """
+    """Labels in a reference system such as "EPSG:2193", longitude or east first."""
 
     classes: tuple[str, ...]
     labels: tuple[Label, ...]
@@ -127,10 +111,7 @@ def require_classes(labels: Labels, classes: Sequence[str], where: str) -> None:
 
 
 def require_inside(label: Label, size_px: tuple[int, int], where: str) -> None:
-    """Refuses an upright box that is not wholly in its image, or an oriented one centred outside.
-
-    `where` is the file and the line or number of the label, for the message.
-    """
+    """Refuses an upright box not wholly in its image, or an oriented one centred outside."""
     left, top, right, bottom = label.bounds
     width, height = size_px
     if len(label.corners) > 1 and not (right > left and bottom > top):
@@ -158,10 +139,9 @@ def sort_labels(
     """Divides the labels of one image into vehicles `[n, 4]` and ignore regions `[m, 4]`.
 
     Vehicles are labels of the named classes whose centre lies in the image, inside its border band.
-    Every other label that touches the image becomes an ignore region. Boxes, xyxy, are cut at the
-    image's edge, and labels beyond it are dropped. Vehicles cut by the edge are often unlabelled,
-    so the border band becomes four ignore regions after the others. `point_box_px` is the side of
-    the box around a label that is a point.
+    Every other label that touches the image becomes an ignore region. Boxes are cut at the image's
+    edge. The border band becomes four ignore regions after the others. `point_box_px` is the side
+    of the box around a label that is a point.
     """
     (width, height), half = size_px, point_box_px / 2
     truths: list[Box] = []

@@ -28,13 +28,9 @@ DEGREES = CRS.from_epsg(4326)
 
 @dataclass(frozen=True)
 class Georeference:
-    """The place of an image.
+    """The place of an image: pixels (column, row) to coordinates, and metres per column and row.
 
-    Attributes:
-        crs: its reference system. None puts it into a grid of its own, x right and y up from its
-            top-left corner, in metres.
-        transform: pixels (column, row) to coordinates.
-        gsd_m: metres on the ground per column and per row.
+    Without a system it has a grid of its own, x right and y up from its top-left corner, in metres.
     """
 
     crs: CRS | None
@@ -61,10 +57,7 @@ def to_reference_system(
 
 
 def outline(width_px: int, height_px: int, steps: int = 8) -> list[Point]:
-    """Returns points along the border of a picture, in pixels.
-
-    There are several along each side, because straight lines of one system are curves in another.
-    """
+    """Returns points along the border of a picture: lines of one system are curves in another."""
     width, height = float(width_px), float(height_px)
     shares = [i / steps for i in range(steps)]
     half = [(share * width, 0.0) for share in shares] + [
@@ -83,8 +76,7 @@ def read_georeference(
     """Finds the place of an image, and adds assumptions to `notes`.
 
     `crs` is the reference system of a transform (the file's or a world file's) that names none.
-    Without any system the image gets a grid of its own, at `source_gsd_m` or else at the
-    transform's pixel size, taken as metres if it is between 0.5 and 50 cm.
+    Without any the image has `source_gsd_m`, or the transform's pixel size as metres if plausible.
     """
     affine, system = dataset.transform, dataset.crs
     plain = affine.is_identity
@@ -165,11 +157,7 @@ def _distances_m(crs: CRS, places: Sequence[Point]) -> list[float] | None:
 
 
 def is_true_to_scale(crs: CRS, place: Point) -> bool:
-    """Tells whether a unit of `crs` is a metre on the ground at `place`, to 0.15 %, both ways.
-
-    It is in UTM (0.9996 to 1.001) and in most national grids, but not in Web Mercator away from the
-    equator.
-    """
+    """Tells whether a unit is a metre to 0.15 %, as in UTM and most national grids."""
     if not crs.is_projected:
         return False
     step = 100.0

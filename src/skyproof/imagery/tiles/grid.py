@@ -42,10 +42,8 @@ Extent = tuple[float, float, float, float]
 class Cell:
     """A square of ground that may become a tile.
 
-    Attributes:
-        crs: reference system; None in the grid of an image without georeference.
-        sources: numbers of the sources that may show it, in the order of their precedence.
-        block: name of the grid, row and column.
+    `sources` are the numbers of those that may show it, in the order of their precedence; `block`
+    is the name of the grid, row and column.
     """
 
     id: str
@@ -75,10 +73,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Grid:
-    """A grid in true metres from the north-west corner of its cell (0, 0).
-
-    Its name begins its tiles' ids, and `extents` are what each of its sources covers, by number.
-    """
+    """A grid in true metres from the north-west corner of cell (0, 0), over numbered sources."""
 
     name: str
     crs: CRS | None
@@ -169,12 +164,11 @@ def lay_grids(sources: Sequence[Source], settings: TilingSettings, notes: list[s
     """Lays grids over sources; refuses sources without a whole cell.
 
     Sources whose extents touch share a grid. Its system is that of its first source if a unit there
-    is a metre on the ground to 0.15 % (UTM, most national grids), so that imagery of the wanted
-    resolution need not be resampled, and otherwise the UTM zone of the grid's middle. Cells lie at
-    multiples of their size, so that a place falls in the same cell on every sheet and in every run.
-    Imagery of fewer than eight cells across begins its grid at its own north-west corner, because
-    it could not afford cut cells. Cells shrink, at most to the minimum of the settings, until every
-    grid has one and there is one for each split.
+    is a metre on the ground, so that imagery of the wanted resolution need not be resampled, and
+    otherwise the UTM zone. Cells lie at multiples of their size, so that a place falls in the same
+    cell in every run. Imagery of fewer than eight cells across begins its grid at its own corner,
+    because it could not afford cut cells. Cells shrink, at most to the minimum of the settings,
+    until every grid has one and there is one for each split.
     """
     layouts = [_layout(sources, group) for group in _groups(sources)]
     size, gsd_m = settings.size_px, settings.gsd_m

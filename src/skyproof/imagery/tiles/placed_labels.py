@@ -54,10 +54,9 @@ class _Placed:
 class PlacedLabels:
     """Labels in the coordinates of the tiles; `notes` tell which labels and images were left out.
 
-    A vehicle counts on the tile of its centre, with its box cut at the tile's border. It is an
-    ignore region on the tiles beside it, and if its source has no data at its centre. Labels in
-    pixels count only on pixels of their own source. An image without any entry in the labels is
-    ignored as a whole, and so is an image without georeference if the labels lie on the map.
+    A vehicle counts on the tile of its centre. It is an ignore region on the tiles beside it, and
+    if its source has no data at its centre. Labels in pixels count only on pixels of their own
+    source. An image without any entry in the labels, or without a place on their map, is ignored.
     """
 
     def __init__(

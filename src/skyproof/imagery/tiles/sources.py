@@ -41,14 +41,12 @@ _INFRARED = (
 
 @dataclass(frozen=True)
 class Source:
-    """An orthophoto that was inspected but not read.
+    """An orthophoto that was inspected but not read; `notes` tell assumptions and repairs.
 
     Attributes:
         bands: the bands, from 1, taken as red, green and blue.
         value_range: the values that become black and white; None if bytes are taken as they are.
         alpha_is_colour: whether its alpha band is no mask.
-        nodata: the value that marks empty pixels, or None.
-        notes: sentences about assumptions and repairs.
     """
 
     path: Path

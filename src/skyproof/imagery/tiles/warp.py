@@ -43,10 +43,7 @@ def read_cell(cell: Cell, sources: Sequence[Source], reader: SourceReader) -> Ce
     The first source that fills the cell to 98 % gives all of it. If none does, as on the seam of
     two sheets, each source fills the pixels that those before it left empty. Empty pixels take the
     colour of the nearest pixel with data, because a detector would learn a black edge as a sign.
-
-    Shrinking averages over the area of a pixel, because point sampling would alias fine structure,
-    and overviews inside the files are not used, because many were made by point sampling. Otherwise
-    pixels are interpolated by cubic convolution, which copies them exactly if the grids coincide.
+    Overviews inside the files are not used, because many were made by point sampling.
     """
     parts: list[tuple[int, NDArray[np.uint8], NDArray[np.bool_]]] = []
     for number in cell.sources:
