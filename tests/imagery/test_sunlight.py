@@ -190,17 +190,16 @@ def test_suns_are_shared_where_shadows_are_unclear_and_not_where_there_are_none(
     """Of five photographs one shows two vehicles alone, and one vehicles without any shadow."""
     lights_of = several_sources(ground, tmp_path, ("a", "b", "c", "few"), overcast=("overcast",))
     lights = lights_of("a", "b", "c", "few", "overcast")
-    own = lights["a-0"].sun
+    own = lights["a"].sun
     assert "shadows of" in own.known_from
-    shared = lights["few-0"].sun
+    shared = lights["few"].sun
     assert shared.known_from == "other photographs of the set"
     assert shared.azimuth_rad == own.azimuth_rad
-    assert lights["overcast-0"].sky == OVERCAST_SKY
-    assert lights["overcast-0"].sun is None
-    assert lights["few-0"].sky != OVERCAST_SKY
-    assert lights_of("a", "b", "few")["few-0"].sun is None, "two others are too few"
-    tiles = [tile for tile in BackgroundSet.open(tmp_path).all_tiles() if tile.id in lights]
-    record = lights_record(tiles, lights)
+    assert lights["overcast"].sky == OVERCAST_SKY
+    assert lights["overcast"].sun is None
+    assert lights["few"].sky != OVERCAST_SKY
+    assert lights_of("a", "b", "few")["few"].sun is None, "two others are too few"
+    record = lights_record(lights)
     assert {*record["suns"]} == {"a", "b", "c", "few"}
     assert record["overcast"] == ["overcast"]
     assert record["photographs"] == 5
@@ -210,13 +209,13 @@ def test_a_flight_under_clouds_is_overcast_where_too_few_vehicles_stand_to_tell(
     lights_of = several_sources(ground, tmp_path, ("one", "two"), overcast=("a", "b", "c", "few"))
 
     def sky_of_few(*others):
-        return lights_of("few", *others)["few-0"].sky
+        return lights_of("few", *others)["few"].sky
 
     assert sky_of_few("a", "b", "c") == OVERCAST_SKY
     assert sky_of_few("a", "b") != OVERCAST_SKY, "two others are too few"
     assert sky_of_few("a", "b", "c", "one") == OVERCAST_SKY, "a sun against three may be feigned"
     assert sky_of_few("a", "b", "c", "one", "two") != OVERCAST_SKY
-    assert lights_of("a", "b", "c", "few", "one")["one-0"].sun is not None
+    assert lights_of("a", "b", "c", "few", "one")["one"].sun is not None
 
 
 def test_each_source_has_its_own_sun_and_what_is_known_stays(ground, tmp_path):
@@ -243,8 +242,7 @@ def test_each_source_has_its_own_sun_and_what_is_known_stays(ground, tmp_path):
     lights = measured_lights(BackgroundSet.open(tmp_path), tiles, vehicles_of)
     true = np.mean([tile.light.white for tile in ground.tiles("test")])
     for source, azimuth_deg in suns.items():
-        light = lights[f"{source}-0"]
-        assert all(lights[tile.id] == light for tile in tiles if tile.source == source)
+        light = lights[source]
         # The exposure is measured anew, on the ground beside the vehicles.
         assert np.mean(light.white) == pytest.approx(true, rel=0.3)
         if source == "dated.tif":

@@ -52,7 +52,7 @@ _LOWEST_DEG = 5.0
 
 
 def picture_of(tile: BackgroundTile) -> str:
-    """Names the picture of a tile's sun: its source image, or its id if it is drawn."""
+    """Names the picture that a tile shows: its source image, or its id if it is drawn."""
     return tile.source if tile.kind is None else tile.id
 
 

@@ -19,7 +19,7 @@ from skyproof.files import write_json
 from skyproof.imagery.clearing.exemplar import fill_ground
 from skyproof.imagery.clearing.labelled import TileLabels, read_labels_of_tiles, removed_vehicles
 from skyproof.imagery.clearing.sheet import ContactSheet, SheetRow
-from skyproof.imagery.clearing.sunlight import lights_record, measured_lights, picture_of
+from skyproof.imagery.clearing.sunlight import lights_record, measured_lights
 from skyproof.imagery.clearing.vehicle_masks import (
     Shadow,
     VehicleFinder,
@@ -31,6 +31,7 @@ from skyproof.imagery.clearing.vehicle_masks import (
     vehicle_mask,
 )
 from skyproof.imagery.drivable import drivable_directions
+from skyproof.imagery.exposure import picture_of
 from skyproof.imagery.tiles.tile_index import copy_ground_index
 from skyproof.layout import CLEARING_RECORD
 from skyproof.scenes.background_index import BackgroundTile, save_map, save_tile, write_index
@@ -152,7 +153,7 @@ def clear_backgrounds(
             row, image = _clear_tile(clearing, tile, found[tile.id], shadow, sheet)
             rows.append(row)
             if row.left_out is None:
-                lit = replace(tile, light=lights[tile.id])
+                lit = replace(tile, light=lights.get(picture_of(tile), tile.light))
                 kept.append(_stored(clearing, lit, image, found[tile.id]))
             if progress is not None:
                 progress("clear", done, len(tiles))
@@ -162,7 +163,7 @@ def clear_backgrounds(
         raise ImageryError(
             f"No tile of {folder} could be cleared ({reasons}); give a better detector."
         )
-    record |= lights_record(tiles, lights)
+    record |= lights_record(lights)
     write_json(out / CLEARING_RECORD, record)
     copy_ground_index(folder, out, {tile.id for tile in kept})
     write_index(out, backgrounds.gsd_m, kept, backgrounds.sensor, backgrounds.light)

@@ -18,6 +18,7 @@ from skyproof.datasets.pictures import Pixels
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Shift = tuple[int, int]
+Spectrum = NDArray[np.complex64]
 
 # Lengths suit ground of 10 to 15 cm per pixel.
 _SEARCH_PX = 112
@@ -108,11 +109,11 @@ def _pieces(mask: Flags) -> list[Flags]:
 
 def _reach(piece: Flags) -> tuple[slice, slice]:
     margin_px = _SEARCH_PX + _RING_PX + 1
-    rows, columns = ndimage.find_objects(piece.astype(np.int8))[0]
-    return (
-        slice(max(0, rows.start - margin_px), rows.stop + margin_px),
-        slice(max(0, columns.start - margin_px), columns.stop + margin_px),
+    rows, columns = (
+        slice(max(0, found.start - margin_px), found.stop + margin_px)
+        for found in ndimage.find_objects(piece.astype(np.int8))[0]
     )
+    return rows, columns
 
 
 def _fill(window: _Window, sound: Flags) -> Array | None:
@@ -137,18 +138,14 @@ def _best_shifts(window: _Window, ring: Flags, sound: Flags) -> list[Shift]:
     # Room for the largest shift, so that none wraps around.
     size = tuple(fft.next_fast_len(side + _SEARCH_PX, real=True) for side in ring.shape)
 
-    def spectrum(values: NDArray[Any]) -> NDArray[np.complex64]:
+    def spectrum(values: NDArray[Any]) -> Spectrum:
         return fft.rfft2(values.astype(np.float32), size)
 
-    def correlate(
-        template: NDArray[np.complex64], field: NDArray[np.complex64]
-    ) -> NDArray[np.float32]:
+    def correlate(template: Spectrum, field: Spectrum) -> NDArray[np.float32]:
         return fft.irfft2(np.conj(template) * field, size)
 
     # Shifts that copy from sound ground alone, and the visible part of the ring.
-    ground = spectrum(sound)
-    ring_spectrum = spectrum(ring)
-    hole_spectrum = spectrum(window.hole)
+    ground, ring_spectrum, hole_spectrum = map(spectrum, (sound, ring, window.hole))
     copied = ndimage.binary_dilation(window.hole)
     seen = correlate(ring_spectrum, ground).round()
     valid = (correlate(spectrum(copied), ground).round() == copied.sum()) & (
@@ -156,8 +153,7 @@ def _best_shifts(window: _Window, ring: Flags, sound: Flags) -> list[Shift]:
     )
     seen = np.maximum(seen, 1)
     # The mismatch of the shifted ring, and the contrast of the copied ground.
-    mismatch = np.zeros(size, np.float32)
-    contrast = np.zeros(size, np.float32)
+    mismatch, contrast = np.zeros((2, *size), np.float32)
     for channel in np.moveaxis(window.values, 2, 0):
         # Around the ring's mean the sums of squares stay small and exact.
         values = np.where(sound | ring, channel - channel[ring].mean(), 0.0)
@@ -177,9 +173,10 @@ def _best_shifts(window: _Window, ring: Flags, sound: Flags) -> list[Shift]:
         inside = correlate(hole_spectrum, field) / window.hole.sum()
         contrast += correlate(hole_spectrum, squares) / window.hole.sum() - inside**2
     cost = np.where(valid, np.maximum(mismatch, 0) + _PLAINNESS * np.maximum(contrast, 0), np.inf)
-    down, across = np.meshgrid(_signed(size[0]), _signed(size[1]), indexing="ij")
-    far = np.maximum(abs(down), abs(across)) > _SEARCH_PX
-    cost[far] = np.inf
+    # Shifts in the order of a Fourier transform.
+    signed = (fft.fftfreq(side, 1 / side).round().astype(np.int64) for side in size)
+    down, across = np.meshgrid(*signed, indexing="ij")
+    cost[np.maximum(abs(down), abs(across)) > _SEARCH_PX] = np.inf
     # The cheapest shifts that are not neighbours.
     chosen: list[Shift] = []
     best = math.inf
@@ -194,11 +191,6 @@ def _best_shifts(window: _Window, ring: Flags, sound: Flags) -> list[Shift]:
         chosen.append(shift)
         cost[(abs(down - shift[0]) <= 3) & (abs(across - shift[1]) <= 3)] = np.inf
     return chosen
-
-
-def _signed(size: int) -> NDArray[np.int64]:
-    """Returns shifts in the order of a Fourier transform."""
-    return np.fft.fftfreq(size, 1 / size).round().astype(np.int64)
 
 
 def _serve_sides(

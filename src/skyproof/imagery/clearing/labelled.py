@@ -49,8 +49,6 @@ def read_labels_of_tiles(folder: Path) -> dict[str, TileLabels] | None:
     """Reads the labels of every tile by id; None if the folder has none."""
     folders = [Path(folder) / split for split in SPLITS]
     labelled = [one for one in folders if (one / ANNOTATIONS).is_file()]
-    if not labelled:
-        return None
     labels: dict[str, TileLabels] = {}
     for one in labelled:
         document, _ = read_annotations(one)
@@ -60,7 +58,7 @@ def read_labels_of_tiles(folder: Path) -> dict[str, TileLabels] | None:
                 tuple(row for row in rows if row.iscrowd and not row.unlabelled),
                 tuple(row for row in rows if row.unlabelled),
             )
-    return labels
+    return labels if labelled else None
 
 
 def removed_vehicles(

@@ -29,7 +29,7 @@ from skyproof.imagery.clearing.vehicle_masks import (
     stack_profiles,
     window_around,
 )
-from skyproof.imagery.exposure import by_picture, exposure_of, picture_of
+from skyproof.imagery.exposure import by_picture, exposure_of
 from skyproof.scenes.background_index import BackgroundTile
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.light import Light, SunEstimate, rounded_levels
@@ -125,41 +125,34 @@ class Footprints:
 
 def measured_lights(
     backgrounds: BackgroundSet, tiles: Sequence[BackgroundTile], vehicles: _Vehicles
-) -> dict[str, Light | None]:
-    """Measures each tile's light: sun and sky by vehicles' shadows, white and black by ground.
+) -> dict[str, Light]:
+    """Measures each photograph's light: sun and sky by vehicles' shadows, the rest by its ground.
 
-    The light of drawn ground, and a sun of a date and time, stay. If vehicles cast no shadow, all
-    light is the sky's. If their shadows do not show the sun, it is the `shared_sun` of the set's
-    other photographs. The sky is overcast if at least three others are, and three for each that has
-    a sun, because vehicles that stand alike may imitate a sun under clouds.
+    A sun of a date and time stays. If vehicles cast no shadow, all light is the sky's. If their
+    shadows do not show the sun, it is the `shared_sun` of the set's other photographs. The sky is
+    overcast if at least three others are, and three for each that has a sun, because vehicles that
+    stand alike may imitate a sun under clouds. `vehicles` come by the tiles' ids.
     """
-    lights = {tile.id: tile.light for tile in tiles}
-    pictures = by_picture(tiles)
-    measured = {
+    lights = {
         name: _light_by_vehicles(backgrounds, of_picture, vehicles)
-        for name, of_picture in pictures.items()
+        for name, of_picture in by_picture(tiles).items()
     }
-    sunny = [light for light in measured.values() if light.sky != OVERCAST_SKY]
+    sunny = [light for light in lights.values() if light.sky != OVERCAST_SKY]
     suns = [light.sun for light in sunny if light.sun is not None]
-    under_clouds = len(measured) - len(sunny) >= FEWEST_TO_SHARE * max(1, len(suns))
-    shared = shared_sun(suns)
-    for name, light in measured.items():
+    under_clouds = len(lights) - len(sunny) >= FEWEST_TO_SHARE * max(1, len(suns))
+    change: dict[str, Any] = {"sky": OVERCAST_SKY} if under_clouds else {"sun": shared_sun(suns)}
+    for name, light in lights.items():
         if light.sun is None and light.sky != OVERCAST_SKY:
-            light = replace(light, sky=OVERCAST_SKY) if under_clouds else replace(light, sun=shared)
-        lights.update({tile.id: light for tile in pictures[name]})
+            lights[name] = replace(light, **change)
     return lights
 
 
-def lights_record(
-    tiles: Sequence[BackgroundTile], lights: Mapping[str, Light | None]
-) -> dict[str, Any]:
-    """Lists the suns of photographs, and the overcast ones, by the `measured_lights` of tiles."""
-    of_tiles = ((picture_of(tile), lights[tile.id]) for tile in tiles if tile.kind is None)
-    known = {picture: light for picture, light in of_tiles if light is not None}
+def lights_record(lights: Mapping[str, Light]) -> dict[str, Any]:
+    """Lists the suns of photographs, and the overcast ones."""
     return {
-        "suns": {name: asdict(light.sun) for name, light in known.items() if light.sun is not None},
-        "overcast": [name for name, light in known.items() if light.sky == OVERCAST_SKY],
-        "photographs": len(known),
+        "suns": {name: asdict(light.sun) for name, light in lights.items() if light.sun},
+        "overcast": [name for name, light in lights.items() if light.sky == OVERCAST_SKY],
+        "photographs": len(lights),
     }
 
 

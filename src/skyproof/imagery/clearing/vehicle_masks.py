@@ -111,15 +111,14 @@ def estimate_shadow(profiles: Iterable[Float[Tensor, "_ directions layers"]]) ->
     stacked = stack_profiles(profiles)
     if len(stacked) < FEWEST_VEHICLES:
         return None
-    (x, y), profile, contrast = shadow_side(stacked)
-    length = math.hypot(x, y)
+    (x, y), profile, contrast = shadow_side(stacked, NEAR_M)
     peak = int(profile[: round(NEAR_M / LAYER_M)].argmax())
     ends = np.nonzero(profile[peak:] < END_SHARE * profile[peak])[0]
     # A darkness without an end is that of a road's side or of trees along it.
     if contrast < FAINTEST_SHADOW or not len(ends):
         return Shadow((0.0, 0.0), 0.0, contrast, len(stacked))
     reach_m = STRETCH * (peak + int(ends[0])) * LAYER_M + PENUMBRA_M
-    direction = (float(x / length), float(y / length))
+    direction = (x / math.hypot(x, y), y / math.hypot(x, y))
     return Shadow(direction, min(reach_m, LONGEST_SHADOW_M), contrast, len(stacked))
 
 
@@ -134,7 +133,7 @@ def stack_profiles(profiles: Iterable[Float[Tensor, "_ directions layers"]]) -> 
     return np.stack(measured[:SAMPLE_LIMIT]) if measured else np.zeros((0, DIRECTIONS, 1))
 
 
-def shadow_side(stacked: Array, near_m: float = NEAR_M) -> tuple[tuple[float, float], Array, float]:
+def shadow_side(stacked: Array, near_m: float) -> tuple[tuple[float, float], Array, float]:
     """Finds the side of the boxes on which the ground within `near_m` is dark.
 
     It returns the sum of all directions, weighted by the darkness near the boxes (the median over
@@ -177,8 +176,7 @@ def window_around(
 ) -> tuple[slice, slice]:
     """Returns the rows and columns around a box that is turned about its middle."""
     left, top, right, bottom = box
-    cosine = abs(math.cos(turn_rad))
-    sine = abs(math.sin(turn_rad))
+    cosine, sine = abs(math.cos(turn_rad)), abs(math.sin(turn_rad))
     across = margin_px + ((right - left) * cosine + (bottom - top) * sine) / 2
     down = margin_px + ((right - left) * sine + (bottom - top) * cosine) / 2
     rows, columns = (
@@ -207,8 +205,7 @@ def arrival(
     x = np.arange(columns.start, columns.stop)[None, :] + 0.5 - (left + right) / 2
     y = np.arange(rows.start, rows.stop)[:, None] + 0.5 - (top + bottom) / 2
     # Rows run down, so the box's own axes are (cos, -sin) and (sin, cos).
-    cosine = math.cos(turn_rad)
-    sine = math.sin(turn_rad)
+    cosine, sine = math.cos(turn_rad), math.sin(turn_rad)
     first = np.zeros((rows.stop - rows.start, columns.stop - columns.start))
     last = np.full_like(first, np.inf)
     for places, reach, speed in (

@@ -37,8 +37,6 @@ _BEGINNINGS = {".gpkg": b"SQLite format 3\0", ".shp": b"\0\0\x27\x0a"}
 
 
 class _LabelForm(msgspec.Struct):
-    """The fields that tell one form of JSON from another."""
-
     type: Any = None
     crs: Any = None
     images: msgspec.Raw | msgspec.UnsetType = msgspec.UNSET
@@ -156,7 +154,9 @@ def _read_ground_labels(path: Path, crs_member: Any = None) -> GroundLabels:
                     "and latitude; name the reference system in the file, or convert it (ogr2ogr "
                     "-t_srs EPSG:4326)."
                 )
-            labels.append(Label(_class_name(record), corners, _ignored(record)))
+            # Shapefiles have no truth values, only numbers.
+            ignored = str(record.get("ignore")) in ("True", "1")
+            labels.append(Label(_class_name(record), corners, ignored))
     names = dict.fromkeys(label.class_name for label in labels)
     return GroundLabels(tuple(names), tuple(labels), crs)
 
@@ -184,8 +184,3 @@ def _corners(part: Any) -> tuple[Point, ...]:
 def _class_name(record: Mapping[str, Any]) -> str:
     values = [record[key] for key in _CLASS_KEYS if record.get(key) not in (None, "")]
     return str(values[0]) if values else _UNNAMED
-
-
-def _ignored(record: Mapping[str, Any]) -> bool:
-    # Shapefiles have no truth values, only numbers.
-    return str(record.get("ignore")) in ("True", "1")

@@ -30,13 +30,7 @@ OPEN_AT_ONCE = 8
 
 _PROBES, _PROBE_PX = 12, 128
 _COLOURS = ("red", "green", "blue")
-_INFRARED = (
-    ColorInterp.nir,
-    ColorInterp.rededge,
-    ColorInterp.swir,
-    ColorInterp.mwir,
-    ColorInterp.lwir,
-)
+_INFRARED = ("nir", "rededge", "swir", "mwir", "lwir")
 
 
 @dataclass(frozen=True)
@@ -59,12 +53,6 @@ class Source:
     nodata: float | None
     licence: str | None
     notes: tuple[str, ...]
-
-    @property
-    def smaller_side_m(self) -> float:
-        """The smaller of its sides on the ground."""
-        across_m, down_m = self.georeference.gsd_m
-        return min(self.width_px * across_m, self.height_px * down_m)
 
 
 def find_images(paths: Sequence[Path]) -> list[Path]:
@@ -105,21 +93,6 @@ def _images_in(folder: Path) -> list[Path]:
     return sorted(file for file in folder.iterdir() if file.suffix.lower() in RASTER_SUFFIXES)
 
 
-@contextmanager
-def _one_sentence(path: Path) -> Iterator[None]:
-    """Turns every failure of reading into one sentence."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            yield
-    except (RasterioError, CPLE_BaseError, OSError, ValueError) as error:
-        reason = " ".join(str(error.__cause__ or error).split())
-        raise ImageryError(
-            f"{path} cannot be read as an image ({reason}); it may be cut off: fetch it again, or "
-            "convert it to GeoTIFF or PNG."
-        ) from error
-
-
 class SourceReader:
     """Opens images when they are needed and keeps a few of them open until the block ends.
 
@@ -144,13 +117,21 @@ class SourceReader:
     @contextmanager
     def reading(self, path: Path) -> Iterator[DatasetReader]:
         """Yields the opened image; a failure while it is read becomes an ImageryError."""
-        with _one_sentence(path):
-            if path not in self._open:
-                self._open[path] = open_raster(path)
-            self._open.move_to_end(path)
-            while len(self._open) > OPEN_AT_ONCE:
-                self._open.popitem(last=False)[1].close()
-            yield self._open[path]
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", NotGeoreferencedWarning)
+                if path not in self._open:
+                    self._open[path] = open_raster(path)
+                self._open.move_to_end(path)
+                while len(self._open) > OPEN_AT_ONCE:
+                    self._open.popitem(last=False)[1].close()
+                yield self._open[path]
+        except (RasterioError, CPLE_BaseError, OSError, ValueError) as error:
+            reason = " ".join(str(error.__cause__ or error).split())
+            raise ImageryError(
+                f"{path} cannot be read as an image ({reason}); it may be cut off: fetch it again, "
+                "or convert it to GeoTIFF or PNG."
+            ) from error
 
 
 def inspect_source(path: Path, settings: SourceSettings, reader: SourceReader) -> Source:
@@ -203,9 +184,7 @@ def _choose_bands(dataset: DatasetReader, notes: list[str]) -> tuple[int, int, i
                     f"{blue})"
                 )
             return red, green, blue
-    colours = [
-        band for band, kind in enumerate(dataset.colorinterp, 1) if kind != ColorInterp.alpha
-    ]
+    colours = [band for band, kind in enumerate(kinds, 1) if kind != "alpha"]
     if not colours:
         raise ImageryError(f"{dataset.name} holds an alpha band alone; give imagery with colours.")
     if len(colours) < 3:
@@ -214,7 +193,7 @@ def _choose_bands(dataset: DatasetReader, notes: list[str]) -> tuple[int, int, i
                 f"two bands without red, green and blue: band {colours[0]} is taken as grey"
             )
         return colours[0], colours[0], colours[0]
-    infrared = [band for band, kind in enumerate(dataset.colorinterp, 1) if kind in _INFRARED]
+    infrared = [band for band, kind in enumerate(kinds, 1) if kind in _INFRARED]
     why = "it does not say which are colours"
     if infrared:
         why = f"its band {infrared[0]} is infrared and it has no blue"
@@ -230,8 +209,7 @@ def _alpha_is_colour(dataset: DatasetReader, notes: list[str]) -> bool:
     if ColorInterp.alpha not in dataset.colorinterp:
         return False
     band = dataset.colorinterp.index(ColorInterp.alpha) + 1
-    probes = [dataset.read(band, window=window).ravel() for window in _probes(dataset)]
-    values = np.concatenate(probes)
+    values = np.concatenate([dataset.read(band, window=at).ravel() for at in _probes(dataset)])
     full = np.iinfo(values.dtype).max if values.dtype.kind in "ui" else 1
     if np.mean((values != 0) & (values != full) & (values != 255)) < 0.5:
         return False
@@ -249,9 +227,8 @@ def _probes(dataset: DatasetReader) -> Iterator[Window]:
         sorted({min(max(0, length - _PROBE_PX), int(length * share)) for share in shares})
         for length in (dataset.width, dataset.height)
     )
-    for row in rows:
-        for column in columns:
-            yield Window(column, row, min(_PROBE_PX, dataset.width), min(_PROBE_PX, dataset.height))
+    size_px = min(_PROBE_PX, dataset.width), min(_PROBE_PX, dataset.height)
+    yield from (Window(column, row, *size_px) for row in rows for column in columns)
 
 
 def _value_range(dataset: DatasetReader, source: Source) -> tuple[float, float]:
@@ -264,9 +241,8 @@ def _value_range(dataset: DatasetReader, source: Source) -> tuple[float, float]:
     for windows, shape in ((_probes(dataset), None), (iter([whole]), shrunken)):
         for window in windows:
             size = shape or (int(window.height), int(window.width))
-            values = dataset.read(bands, window=window, out_shape=(len(bands), *size)).astype(
-                np.float32
-            )
+            values = dataset.read(bands, window=window, out_shape=(len(bands), *size))
+            values = values.astype(np.float32)
             valid = read_mask(dataset, source, window, size) > 0
             samples.append(values[:, valid & np.isfinite(values).all(0)].ravel())
         if any(len(values) for values in samples):

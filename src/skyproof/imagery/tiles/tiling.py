@@ -154,7 +154,7 @@ def _cut_tile(
     directions = drivable_directions(pixels, cell.gsd_m, vehicles)
     shown = [sources[number] for number in np.unique(image.owner[image.owner >= 0])]
     # A tile of several small images is named by their folders.
-    small = len(shown) > 1 and all(source.smaller_side_m < cell.side_m for source in shown)
+    small = len(shown) > 1 and all(_smaller_side_m(source) < cell.side_m for source in shown)
     names = (source.path.resolve().parent.name if small else source.path.name for source in shown)
     licences = dict.fromkeys(source.licence for source in shown if source.licence)
     _, row, column = cell.block
@@ -172,6 +172,11 @@ def _cut_tile(
     )
     save_tile(folder, tile, pixels)
     return tile, rows
+
+
+def _smaller_side_m(source: Source) -> float:
+    across_m, down_m = source.georeference.gsd_m
+    return min(source.width_px * across_m, source.height_px * down_m)
 
 
 def _refuse_too_few(count: int, settings: TilingSettings) -> None:
