@@ -15,7 +15,7 @@ from skyproof.render.layers import draw_bodies, draw_shadows, see_bodies
 from skyproof.render.lighting import lighting, scene_lights
 from skyproof.render.placed import place, windows_around
 from skyproof.render.settings import RenderSettings
-from skyproof.render.sun_view import see_from_sun
+from skyproof.render.shadows import see_from_sun
 from skyproof.scenes.light import Light
 from skyproof.scenes.scene import BackgroundWindow, Camera, Placement, Scene, Sun
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet

@@ -7,10 +7,10 @@ import pytest
 import torch
 from torch.nn.functional import cosine_similarity, interpolate, normalize
 
+from skyproof.render.lighting import Lighting, light
 from skyproof.render.materials import gloss_table
 from skyproof.render.renderer import TorchRenderer
 from skyproof.render.settings import RenderSettings
-from skyproof.render.shade import Lighting, light
 from skyproof.scenes.light import CLEAR_SKY
 from skyproof.vehicles.vehicle import Part
 from tests.render.bodies import PlainGround, double, scene, vehicles

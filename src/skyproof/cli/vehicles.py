@@ -191,9 +191,10 @@ def _write_pictures(
     reports: dict[str, dict[str, Any]],
     fleet: Fleet,
 ) -> None:
+    import numpy as np
     from PIL import Image
 
-    from skyproof.render.turntable import turntable_row, turntable_sheet
+    from skyproof.render.portrait import turntable_row
 
     write_json(folder / "wrap.json", reports)
     rows = [
@@ -202,8 +203,7 @@ def _write_pictures(
         )
         for vehicle_id, vehicle in wrapped.items()
     ]
-    sheet = turntable_sheet(rows).permute(1, 2, 0).numpy()
-    Image.fromarray(sheet).save(folder / "turntable.png")
+    Image.fromarray(np.concatenate(rows)).save(folder / "turntable.png")
 
 
 def _body_type(name: str) -> str:

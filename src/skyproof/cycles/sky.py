@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from skyproof.render.sky import CLEAR, OVERCAST, SkyType, relative_luminance
+from skyproof.render.lighting import CLEAR, OVERCAST, SkyType, relative_luminance
 from skyproof.scenes.scene import Sun
 
 SUN_DIAMETER_RAD = math.radians(0.53)

@@ -17,8 +17,7 @@ from skyproof.generator.maps import whole
 from skyproof.generator.photographed import Photographed, shown_pixels
 from skyproof.generator.prototypes import Prototype
 from skyproof.randomness import generator_of
-from skyproof.render.portrait import close_up
-from skyproof.render.turntable import PART_COLOURS
+from skyproof.render.portrait import PART_COLOURS, close_up
 from skyproof.vehicles.fleet import Fleet, FleetSettings
 from skyproof.vehicles.vehicle import VehicleBatch
 

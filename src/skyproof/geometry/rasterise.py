@@ -18,10 +18,9 @@ class Visibility:
     """The view of a grid of samples: one window of `S x S` samples for each of `N` bodies.
 
     Attributes:
-        keys: `[N, S, S]` depth and face in one integer; the largest one for empty samples.
-        covered: `[K]` flat indices into `keys` of samples with a triangle.
-        x, y, vehicle, face: `[K]` their column and row, the index of their window, the visible
-            face.
+        keys: depth and face in one integer; the largest one for empty samples.
+        covered: flat indices into `keys` of samples with a triangle.
+        x, y, vehicle, face: their column and row, the index of their window, the visible face.
     """
 
     def __init__(self, keys: Int[Tensor, "N S S"]) -> None:
@@ -37,9 +36,8 @@ class Visibility:
         self.face: Int[Tensor, " K"] = flat.index_select(0, self.covered) & ((1 << _FACE_BITS) - 1)
 
     def cells(self, factor: int) -> tuple[Int[Tensor, " K"], Int[Tensor, " K"]]:
-        """Column and row of each sample's cell of `factor` samples; look-ups are faster than
-        divisions.
-        """
+        """Column and row of each sample's cell of `factor` samples."""
+        # Look-ups are faster than divisions.
         cell = torch.arange(self.keys.shape[-1], device=self.x.device) // factor
         return cell.index_select(0, self.x), cell.index_select(0, self.y)
 
@@ -56,14 +54,10 @@ class Visibility:
         return torch.where(key == _NOTHING, torch.inf, depth)
 
 
-def face_areas(screen: Float[Tensor, "N V 2"], faces: Int[Tensor, "F 3"]) -> Float[Tensor, "N F"]:
+def face_areas(corners: Float[Tensor, "3 2 M"]) -> Float[Tensor, " M"]:
     """Twice the signed area of each projected triangle, positive if it shows its outside."""
-    return _areas(at_corners(screen, faces)).view(len(screen), len(faces))
-
-
-def _areas(corners: Float[Tensor, "3 2 M"]) -> Float[Tensor, " M"]:
     a, b, c = corners
-    return _cross(c - a, b - a)
+    return cross(c - a, b - a)
 
 
 def barycentric(
@@ -72,9 +66,9 @@ def barycentric(
     """Returns the weights of a triangle's three corners at a point; differentiable in both."""
     a, b, c = corners
     to_b, to_c, to_point = b - a, c - a, point - a
-    area = _cross(to_c, to_b)
-    second = _cross(to_c, to_point) / area
-    third = _cross(to_point, to_b) / area
+    area = cross(to_c, to_b)
+    second = cross(to_c, to_point) / area
+    third = cross(to_point, to_b) / area
     return torch.stack((1 - second - third, second, third))
 
 
@@ -102,7 +96,7 @@ def rasterise(
         raise ValueError(f"expected fewer than {1 << _FACE_BITS} faces, got {len(faces)}")
     corners = at_corners(screen, faces)
     corner_depth = at_corners(depth[..., None], faces)[:, 0]
-    areas = _areas(corners)
+    areas = face_areas(corners)
     shown = torch.nonzero(areas.abs() > 1e-12 if two_sided else areas > 1e-12)[:, 0]
     keys = torch.full(
         (len(screen) * size * size,), _NOTHING, dtype=torch.int64, device=screen.device
@@ -141,7 +135,7 @@ def _draw(
     # Triangles to rows: y, counted from the triangle's base, and the ends of the span of x.
     low_y = (low[1] - 0.5).ceil().long().clamp(min=0)
     high_y = (high[1] - 0.5).floor().long().clamp(max=size - 1)
-    row, step = _enumerate((high_y - low_y + 1).clamp(min=0))
+    row, step = enumerate_counts((high_y - low_y + 1).clamp(min=0))
     y_step = (low_y - y_base).index_select(0, row) + step
     per_row = planes.flatten(0, 1).index_select(1, row).view(3, 3, -1)
     span_low, span_high = _span(per_row, y_step.to(corners.dtype))
@@ -154,7 +148,7 @@ def _draw(
     start = torch.addcmul(slope[2], slope[1], y_step.to(corners.dtype))
     label = face.index_select(0, row)
 
-    span, step = _enumerate((high_x - low_x + 1).clamp(min=0))
+    span, step = enumerate_counts((high_x - low_x + 1).clamp(min=0))
     x_step = low_x.index_select(0, span) + step
     rise = slope[0].index_select(0, span)
     near = torch.addcmul(start.index_select(0, span), rise, x_step.to(corners.dtype))
@@ -163,7 +157,7 @@ def _draw(
     keys.scatter_reduce_(0, place.index_select(0, span) + x_step, key, "amin")
 
 
-def _enumerate(counts: Int[Tensor, " K"]) -> tuple[Int[Tensor, " M"], Int[Tensor, " M"]]:
+def enumerate_counts(counts: Int[Tensor, " K"]) -> tuple[Int[Tensor, " M"], Int[Tensor, " M"]]:
     """Returns rows and steps: for counts (2, 0, 3) rows (0, 0, 2, 2, 2), steps (0, 1, 0, 1, 2)."""
     row = torch.repeat_interleave(counts)
     before = (counts.cumsum(0) - counts).index_select(0, row)
@@ -178,8 +172,8 @@ def _planes(
     to_b, to_c, start = b - a, c - a, 0.5 - a
     # weight_b = cross(c - a, p - a) / area and weight_c = cross(p - a, b - a) / area, at the
     # point p = (i + 0.5, j + 0.5).
-    second = torch.stack((-to_c[1], to_c[0], _cross(to_c, start))) / area
-    third = torch.stack((to_b[1], -to_b[0], _cross(start, to_b))) / area
+    second = torch.stack((-to_c[1], to_c[0], cross(to_c, start))) / area
+    third = torch.stack((to_b[1], -to_b[0], cross(start, to_b))) / area
     first = -second - third
     first[2] += 1
     slope = second * (depth[1] - depth[0]) + third * (depth[2] - depth[0])
@@ -202,5 +196,6 @@ def _span(
     return low.clamp(-1e6, 1e6), high.clamp(-1e6, 1e6)
 
 
-def _cross(first: Float[Tensor, "2 K"], second: Float[Tensor, "2 K"]) -> Float[Tensor, " K"]:
+def cross(first: Float[Tensor, "2 K"], second: Float[Tensor, "2 K"]) -> Float[Tensor, " K"]:
+    """Returns the cross products of vectors in the plane."""
     return first[0] * second[1] - first[1] * second[0]

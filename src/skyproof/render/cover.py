@@ -11,16 +11,16 @@ from skyproof.geometry.rasterise import rasterise
 from skyproof.render.placed import Placed, windows_around
 from skyproof.scenes.scene import BackgroundWindow, Scene
 
-Cut = Callable[[BackgroundWindow, int], Tensor | None]
-"""Gives the part of each pixel of a window that crowns and roofs cover, `[H, W]`, or None."""
-
 # Pixels around a vehicle and its shadow that the sensor's blur reaches.
 _BLUR_PX = 2
 
 
 @torch.no_grad()
 def covers(
-    cut: Cut, scenes: Sequence[Scene], placed: Placed, faces: Int[Tensor, "F 3"]
+    cover_of: Callable[[BackgroundWindow, int], Tensor | None],
+    scenes: Sequence[Scene],
+    placed: Placed,
+    faces: Int[Tensor, "F 3"],
 ) -> Float[Tensor, "B 1 H W"] | None:
     """Returns the share of each pixel in which the photograph hides the vehicles; None for none.
 
@@ -32,7 +32,7 @@ def covers(
     for index, scene in enumerate(scenes):
         if not any(placement.covered for placement in scene.placements):
             continue
-        cover = cut(scene.background, size_px)
+        cover = cover_of(scene.background, size_px)
         if cover is None:
             continue
         if found is None:

@@ -35,26 +35,21 @@ def placed_vehicles(fleet: Fleet, scenes: Sequence[Scene]) -> VehicleBatch:
 def ground_corners(scenes: Sequence[Scene], vehicles: VehicleBatch) -> Float[Tensor, "N 4 2"]:
     """Returns the corners of the rectangle around each vehicle's plan, on the ground, in its image.
 
-    Returns:
-        `[N, 4, 2]` pixel (x, y) of front left, front right, rear right and rear left, not cut.
+    They are pixels (x, y) of front left, front right, rear right and rear left, not cut.
     """
-    placements = [placement for scene in scenes for placement in scene.placements]
     # On the CPU, so that a dataset has the same labels wherever it was drawn.
     plan = vehicles.vertices[..., :2].cpu()
     rear, right = plan.amin(1).unbind(-1)
     front, left = plan.amax(1).unbind(-1)
-    xs = torch.stack((front, front, rear, rear), 1)
-    ys = torch.stack((left, right, right, left), 1)
-    local = torch.stack((xs, ys, torch.zeros_like(xs)), -1)
-    heading = plan.new_tensor([placement.heading_rad for placement in placements])
-    place = plan.new_tensor([[placement.x_m, placement.y_m, 0.0] for placement in placements]).view(
-        -1, 1, 3
-    )
-    upright = plan.new_tensor([[0.0, 0.0, 1.0]]).expand(len(placements), 3)
+    outline = ((front, left), (front, right), (rear, right), (rear, left))
+    local = torch.stack([torch.stack((x, y, torch.zeros_like(x)), -1) for x, y in outline], dim=1)
+    placements = [placement for scene in scenes for placement in scene.placements]
+    heading = plan.new_tensor([each.heading_rad for each in placements])
+    place = plan.new_tensor([[each.x_m, each.y_m, 0.0] for each in placements]).view(-1, 1, 3)
+    corners = rotate_about_vertical(local, heading) + place
+    upright = plan.new_tensor([[0.0, 0.0, 1.0]]).expand(len(corners), 3)
     camera = scenes[0].camera
-    return project(
-        rotate_about_vertical(local, heading) + place, upright, camera.gsd_m, camera.size_px
-    )[0]
+    return project(corners, upright, camera.gsd_m, camera.size_px)[0]
 
 
 @torch.no_grad()
@@ -155,24 +150,22 @@ def _write(
 ) -> None:
     """Writes one batch of images with their labels."""
     images = (frames.image * 255).round().byte().cpu()
-    masks = None if frames.masks is None else frames.masks.cpu()
-    boxes, centres = frames.boxes.tolist(), frames.centres.tolist()
-    row = 0
+    masks = iter(() if frames.masks is None else frames.masks.cpu())
+    numbers = (frames.boxes, frames.centres, frames.visible_fraction, corners)
+    rows = zip(*(values.tolist() for values in numbers), strict=True)
     for image, scene in zip(images, scenes, strict=True):
         annotations = []
         for place, placement in enumerate(scene.placements):
-            left, top, right, bottom = boxes[row]
-            x, y = centres[row]
+            box, centre, visible, outline = next(rows)
             annotations.append(
                 Annotation(
-                    box_xyxy=(left, top, right, bottom),
-                    centre_px=(x, y),
-                    visible_fraction=float(frames.visible_fraction[row]),
-                    mask=None if masks is None else masks[row],
+                    box_xyxy=tuple(box),
+                    centre_px=tuple(centre),
+                    visible_fraction=visible,
+                    mask=next(masks, None),
                     vehicle=placement.vehicle,
                     placement_index=place,
-                    corners_px=tuple((x, y) for x, y in corners[row].tolist()),
+                    corners_px=tuple(map(tuple, outline)),
                 )
             )
-            row += 1
         writer.add(image, scene.id, annotations)

@@ -10,9 +10,8 @@ from torch import Tensor
 
 from skyproof.render.frames import Frames
 from skyproof.render.layers import SeenBodies, WindowLayers
-from skyproof.render.lighting import SceneLights
+from skyproof.render.lighting import Lighting, SceneLights
 from skyproof.render.placed import Placed, Windows
-from skyproof.render.shade import Lighting
 from skyproof.scenes.scene import Scene
 from skyproof.scenes.sensor import Sensor
 from skyproof.vehicles.vehicle import VehicleBatch

@@ -8,14 +8,14 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from skyproof.geometry.meshes import at_corners, vertex_normals
-from skyproof.geometry.rasterise import Visibility, barycentric, rasterise
+from skyproof.geometry.rasterise import Visibility, barycentric, cross, rasterise
+from skyproof.render.lighting import Lighting, light
 from skyproof.render.linear_texture import LinearTexture
 from skyproof.render.materials import CAMOUFLAGE, gloss_table
 from skyproof.render.placed import Placed, Windows
 from skyproof.render.settings import RenderSettings
-from skyproof.render.shade import Lighting, light
+from skyproof.render.shadows import SunView
 from skyproof.render.silhouette import SilhouettePoints, silhouette_points
-from skyproof.render.sun_view import SunView
 from skyproof.vehicles.vehicle import VehicleBatch
 
 # Samples. A sample that happens to hit a sliver of width w has a derivative of order 1/w: right on
@@ -32,9 +32,8 @@ _TINY = 1e-24
 class WindowLayers:
     """The drawn pixels of vehicles or shadows in their windows.
 
-    Attributes:
-        values: `[N, C, S, S]`, for bodies linear colour times coverage and coverage (4 channels),
-            for shadows the shares of sun and sky that the ground loses (2 channels).
+    Values of bodies are linear colour times coverage and coverage (4 channels), those of shadows
+    the shares of sun and sky that the ground loses (2 channels).
     """
 
     window: Windows
@@ -116,11 +115,7 @@ def see_bodies(
 def draw_bodies(
     seen: SeenBodies, lighting: Lighting, vehicles: VehicleBatch, settings: RenderSettings
 ) -> Float[Tensor, "N 4 S S"]:
-    """Draws the textures of seen vehicles, averaged from samples to pixels (section S2.2).
-
-    Returns:
-        Linear colour times coverage (3) and coverage (1) per pixel.
-    """
+    """Draws the textures of seen vehicles, averaged from samples to pixels (section S2.2)."""
     visibility, factor = seen.visibility, settings.supersampling
     level = seen.surface[2]
     finest = int(level.min()) if len(level) else 0
@@ -190,7 +185,7 @@ def _texture_levels(corners: Float[Tensor, "3 2 M"], vehicles: VehicleBatch) -> 
     """Per triangle the pyramid level whose texel is as long as a sample, the squeezed way."""
     template = vehicles.template
     across, down = corners[1] - corners[0], corners[2] - corners[0]
-    area = across[0] * down[1] - across[1] * down[0]
+    area = cross(across, down)
     texels = template.uvs[template.face_uvs] * vehicles.texture.shape[-1]
     texels = texels.permute(1, 2, 0).repeat(1, 1, len(vehicles))
     texel_across, texel_down = texels[1] - texels[0], texels[2] - texels[0]
@@ -210,10 +205,8 @@ def _held_weights(
         return weights
     with torch.no_grad():
         a, b, c = corners
-        to_b, to_c = b - a, c - a
-        area = to_c[0] * to_b[1] - to_c[1] * to_b[0]
-        longest = torch.stack((to_b, to_c, c - b)).square().sum(1).amax(0).sqrt()
-        kept = (area / longest / _THINNEST).clamp(max=1.0)
+        longest = torch.stack((b - a, c - a, c - b)).square().sum(1).amax(0).sqrt()
+        kept = (cross(c - a, b - a) / longest / _THINNEST).clamp(max=1.0)
     return weights.detach().lerp(weights, kept)
 
 

@@ -1,24 +1,97 @@
-"""The light of scenes: that of their photographs, under their weather (sections S2.2 and S7)."""
+"""The light of scenes: sky (ISO 15469), photographs under weather (sections S2.2, S7), surfaces."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import lru_cache
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
 from skyproof.render.placed import Placed
-from skyproof.render.shade import Lighting
-from skyproof.render.sky import CLEAR, mean_luminance
+from skyproof.render.settings import RenderSettings
 from skyproof.scenes.light import Light
 from skyproof.scenes.scene import Scene
 
+SkyType = tuple[float, float, float, float, float]
+"""Coefficients a, b, c, d, e of the CIE standard general sky (ISO 15469:2004)."""
+
+CLEAR: SkyType = (-1.0, -0.32, 10.0, -3.0, 0.45)
+"""Type 12: standard clear sky of low turbidity."""
+OVERCAST: SkyType = (4.0, -0.7, 0.0, -1.0, 0.0)
+"""Type 1: standard overcast sky."""
+
+_LOWEST = 1e-2
+_ROWS, _COLUMNS = 32, 64
+# Of the change from mirrored sky to mirrored ground, around the horizon.
+_HORIZON_SHARPNESS = 12.0
+# What of the vehicle hides the sun hides the brighter half of a clear sky, too, from what faces it:
+# about as much as path tracing has it between bumps (docs/cycles.md), and as a vehicle takes from
+# the ground close to it.
+_SHADED_SKY_LOSS = 0.7
+# In units of white; path tracing cuts single paths there, too.
+_BRIGHTEST_GLINT = 5.0
+# The logarithm of a glint's lobe where nothing of it is left.
+_DARKEST_LOG = -80.0
 _LEAST_ROOM = 1e-3
 _NEARLY_WHITE = 0.98
 # A sky that gives more of the light than this has clouds in it.
 _CLEAR_SHARE = 0.35
+
+
+def relative_luminance(
+    kind: SkyType, up: Float[Tensor, "*S"], towards_sun: Float[Tensor, "*S"]
+) -> Float[Tensor, "*S"]:
+    """Computes the luminance of the CIE standard general sky, up to a common factor.
+
+    (1 + a exp(b / cos Z)) (1 + c (exp(d x) - exp(d pi / 2)) + e cos^2 x), with the zenith distance
+    Z and the distance from the sun x. `up` and `towards_sun` are the cosines; below the horizon
+    `up` is that of the horizon.
+    """
+    a, b, c, d, e = kind
+    gradation = 1 + a * torch.exp(b / up.clamp(min=_LOWEST))
+    if not c and not e:
+        return gradation
+    distance = torch.arccos(towards_sun.clamp(-0.9999, 0.9999))
+    around = 1 + c * (torch.exp(d * distance) - math.exp(d * math.pi / 2))
+    return gradation * (around + e * towards_sun.square())
+
+
+@lru_cache(maxsize=256)
+def mean_luminance(kind: SkyType, sun_elevation_deg: int) -> float:
+    """Computes the luminance of an even sky that lights level ground as much."""
+    rows = torch.arange(_ROWS, dtype=torch.float64)
+    columns = torch.arange(_COLUMNS, dtype=torch.float64)
+    elevation = ((rows + 0.5) / _ROWS * math.pi / 2)[:, None]
+    azimuth = (columns + 0.5) / _COLUMNS * 2 * math.pi
+    sun_rad = math.radians(sun_elevation_deg)
+    up = elevation.sin().expand(-1, _COLUMNS)
+    towards_sun = math.cos(sun_rad) * elevation.cos() * azimuth.cos() + math.sin(sun_rad) * up
+    weight = elevation.cos() * up
+    return float((relative_luminance(kind, up, towards_sun) * weight).sum() / weight.sum())
+
+
+@dataclass(frozen=True)
+class Lighting:
+    """The light on each of N vehicles, in units of a white matt surface on open ground.
+
+    Attributes:
+        sun, viewer: unit vectors towards sun and camera.
+        sky: share of the sky in the light on open ground, red, green, blue.
+        overcast: share of clouds in the sky's light.
+        sunlit: share of the direct sun that the photograph's shadows leave.
+        clear_mean: mean luminance of the clear sky.
+    """
+
+    sun: Float[Tensor, "N 3"]
+    viewer: Float[Tensor, "N 3"]
+    sky: Float[Tensor, "N 3"]
+    overcast: Float[Tensor, "N 1"]
+    sunlit: Float[Tensor, "N 1"]
+    clear_mean: Float[Tensor, "N 1"]
 
 
 @dataclass(frozen=True)
@@ -44,8 +117,7 @@ class SceneLights:
         return SceneLights(*(getattr(self, each.name)[single] for each in fields(self)))
 
     def shown(self, light: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 3 H W"]:
-        """Returns the shown values of light in units of a white matt surface, linear and not
-        clipped.
+        """Returns the shown values of light, linear and not clipped.
 
         Above its shoulder s the camera shows s + (1 - s) tanh((x - s) / (1 - s)) for x.
         """
@@ -74,8 +146,8 @@ class SceneLights:
     @property
     def _plain(self) -> bool:
         """Whether the pictures show light as it is."""
-        plain = (self.white == 1).all() & (self.black == 0).all() & (self.shoulder >= 1).all()
-        return bool(plain)
+        levels = (self.white == 1).all() & (self.black == 0).all()
+        return bool(levels & (self.shoulder >= 1).all())
 
     def _levels(self) -> tuple[Tensor, Tensor, Tensor]:
         black = self.black[:, :, None, None]
@@ -122,3 +194,72 @@ def lighting(placed: Placed, lights: SceneLights) -> Lighting:
         sunlit=placed.sunlit[:, None],
         clear_mean=placed.sun.new_tensor(means),
     )
+
+
+def light(
+    normal: Float[Tensor, "3 K"],
+    lighting: Lighting,
+    vehicle: Int[Tensor, " K"],
+    sunlit: Float[Tensor, " _"],
+    gloss: Float[Tensor, "2 _"],
+    settings: RenderSettings,
+) -> tuple[Float[Tensor, "3 K"], Float[Tensor, "3 K"]]:
+    """Returns the diffuse light on a surface, and the radiance that its gloss mirrors, per channel.
+
+    A white matt surface on open ground sends 1 in every channel at any elevation of the sun,
+    because the exposure was set for its light. Radiance is albedo * diffuse + mirrored. The
+    mirrored light does not reach the paint (Fresnel towards the viewer, as path tracers layer a
+    coat).
+
+    Args:
+        normal: unit normals, world axes.
+        vehicle: row of `lighting` for each sample.
+        sunlit: share of the sun's light that its own vehicle lets through, per sample or one for
+            all.
+        gloss: columns of `gloss_table`, per sample or one for all.
+    """
+    # The sun's light across its rays, and the light that ground around sends back.
+    direct = (1 - lighting.sky) * lighting.sunlit
+    strength = direct * lighting.sun[:, 2:].reciprocal()
+    ground = settings.ground_reflectance * (direct + lighting.sky)
+    # What is the same all over a vehicle is worked out once for it, and looked up by its samples.
+    sun_and_viewer = (lighting.sun * lighting.viewer).sum(1, keepdim=True)
+    halving = (lighting.sun + lighting.viewer).norm(dim=1, keepdim=True).reciprocal()
+    dimming = lighting.clear_mean.reciprocal()
+    vectors = (lighting.sun, lighting.viewer, lighting.sky, strength, ground)
+    scalars = (sun_and_viewer, halving, lighting.overcast, dimming)
+    rows = torch.cat((*vectors, *scalars), dim=1).t().index_select(1, vehicle)
+    sun, viewer, sky, strength, ground = rows[:15].split(3)
+    sun_and_viewer, halving, overcast, dimming = rows[15:]
+    # The more a surface faces down, the more of the ground before it is the vehicle's own shadow.
+    # Squared, so that gradients do not jump at level normals.
+    ground = ground * (1 - normal[2].clamp(max=0.0).square())
+    towards_sun = (normal * sun).sum(0)
+    facing_sun = towards_sun.clamp(min=0.0)
+    sunny = facing_sun * sunlit
+    sky_left = 1 - _SHADED_SKY_LOSS * (facing_sun - sunny) * (1 - overcast)
+    open_sky = 0.5 + 0.5 * normal[2]
+    diffuse = torch.addcmul(torch.lerp(ground, sky * sky_left, open_sky), strength, sunny)
+    # Mirrored surroundings: from above, a steep side mirrors the ground, not the sky.
+    reflectance, exponent = gloss
+    # Where faces turn away, normals between their corners may before them: seen edge-on at most, or
+    # sills would mirror the sky.
+    cosine = (normal * viewer).sum(0).clamp(min=0.0)
+    # Schlick's, for reflectances up to that of the table; nothing where nothing is mirrored.
+    grazing = (1 - cosine).clamp(min=0.0)
+    square = grazing * grazing
+    fresnel = reflectance + (settings.gloss - reflectance) * (square * square * grazing)
+    # Of the mirrored ray, 2 cosine normal - viewer, the height and the cosine to the sun.
+    up = 2 * cosine * normal[2] - viewer[2]
+    clear = relative_luminance(CLEAR, up, 2 * cosine * towards_sun - sun_and_viewer)
+    cloudy = relative_luminance(OVERCAST, up, up) / mean_luminance(OVERCAST, 90)
+    luminance = torch.lerp(clear * dimming, cloudy, overcast)
+    surroundings = torch.lerp(ground, sky * luminance, torch.sigmoid(up * _HORIZON_SHARPNESS))
+    # The sun's glint, which a sensor shows as white long before it ends. Its lobe is around the
+    # direction half-way from the sun to the viewer. A power takes far longer than exp and log, and
+    # exp far longer where it vanishes.
+    aligned = ((towards_sun + cosine) * halving).clamp(min=1e-6)
+    lobe = torch.exp((exponent * aligned.log()).clamp(min=_DARKEST_LOG))
+    peak = reflectance * (exponent + 8) / 8
+    glint = (peak * lobe * sunny * strength).clamp(max=_BRIGHTEST_GLINT)
+    return diffuse * (1 - fresnel), torch.addcmul(glint, fresnel, surroundings)

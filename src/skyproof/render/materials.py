@@ -14,9 +14,9 @@ CAMOUFLAGE = len(Part)
 # photographed ones (docs/results/reality).
 _DARKEST = 0.015
 
-# Roughness, clear coat, specular level (0.5 is a refractive index of 1.5), roughness of the coat.
-# Our estimates: a coat in daily use is neither polished nor dull. Vehicles are closed shells:
-# windows are dark mirrors, as from above.
+# Roughness, clear coat, specular level (0.5 is a refractive index of 1.5) and roughness of the coat,
+# as in Blender's Principled BSDF. Our estimates: a coat in daily use is neither polished nor dull.
+# Vehicles are closed shells: windows are dark mirrors, as from above.
 _FINISHES = {
     Part.BODY: (0.6, 1.0, 0.0, 0.12),
     Part.GLASS: (0.03, 0.0, 0.5, 0.0),
@@ -40,15 +40,12 @@ def reflectance(texture: Float[Tensor, "*S"]) -> Float[Tensor, "*S"]:
 
 
 def material_table(finish: str = "gloss") -> Float[Tensor, "8 4"]:
-    """Returns roughness, clear coat, specular level and the coat's roughness of each label, as in
-    Blender's Principled BSDF; camouflage has the finish "gloss" or "matt".
-    """
+    """Returns each label's columns of `_FINISHES`; camouflage has the finish "gloss" or "matt"."""
     return torch.tensor([_FINISHES[part] for part in Part] + [_CAMOUFLAGE[finish]])
 
 
 def gloss_table(share: float = 1.0) -> Float[Tensor, "8 2"]:
-    """Returns each label's reflectance at normal incidence (times `share`), and its glint's
-    exponent.
+    """Returns each label's reflectance at normal incidence (times `share`), and glint's exponent.
 
     The exponent is that of a Blinn-Phong lobe as wide as the microfacet distribution of the same
     roughness r, 2 / r^4 - 2 (Walter et al. 2007), at most as sharp as samples can show.

@@ -10,7 +10,6 @@ from torch import Tensor
 
 from skyproof.errors import StoredFileError
 from skyproof.render.composite import composite
-from skyproof.render.contact import contact_shadows, ground_shadows, surrounded
 from skyproof.render.cover import covers
 from skyproof.render.frames import Frames
 from skyproof.render.geometry_buffer import GeometryBuffer, GeometryBuffers
@@ -18,7 +17,7 @@ from skyproof.render.layers import WindowLayers, draw_bodies, draw_shadows, see_
 from skyproof.render.lighting import lighting, scene_lights
 from skyproof.render.placed import label, nothing_placed, place, windows_around
 from skyproof.render.settings import RenderSettings
-from skyproof.render.sun_view import see_from_sun
+from skyproof.render.shadows import contact_shadows, ground_shadows, see_from_sun, surrounded
 from skyproof.render.weather import finish_images, wet_grounds
 from skyproof.scenes.light import Light
 from skyproof.scenes.scene import BackgroundWindow, Scene
@@ -59,11 +58,7 @@ def _read(scenes: Sequence[Scene], read: Callable[[Scene], _Value]) -> list[_Val
 def photographs(
     backgrounds: Backgrounds, scenes: Sequence[Scene], device: torch.device
 ) -> Float[Tensor, "B 3 H W"]:
-    """The scenes' photographs without vehicles, sRGB.
-
-    Raises:
-        StoredFileError: the background set lacks a scene's background; names the scene.
-    """
+    """The scenes' photographs without vehicles, sRGB."""
     windows = _read(scenes, lambda s: backgrounds.window(s.background, s.camera.size_px))
     return torch.stack(windows).to(device)
 
@@ -87,13 +82,10 @@ def photographed_lights(
 def sensor_record(
     backgrounds: Backgrounds, scenes: Sequence[Scene], settings: RenderSettings
 ) -> dict[str, float | list[float]]:
-    """Blur and noise of vehicles in these scenes as JSON: a number, or the sorted list of all
-    values.
-    """
-    used = set(sensors(backgrounds, scenes, settings))
+    """Blur and noise of vehicles in these scenes: a number, or the sorted list of all values."""
     record: dict[str, float | list[float]] = {}
     for name in ("blur_sigma_px", "noise"):
-        values = sorted({getattr(sensor, name) for sensor in used})
+        values = sorted({getattr(each, name) for each in sensors(backgrounds, scenes, settings)})
         record[name] = values[0] if len(values) == 1 else values
     return record
 
@@ -125,10 +117,8 @@ class TorchRenderer:
 
     def record(self, scenes: Sequence[Scene]) -> dict[str, Any]:
         """Its settings, with blur and noise as these scenes have them."""
-        return {
-            **asdict(self.settings),
-            **sensor_record(self.backgrounds, scenes, self.settings),
-        }
+        settings = self.settings
+        return {**asdict(settings), **sensor_record(self.backgrounds, scenes, settings)}
 
     def __call__(
         self, scenes: Sequence[Scene], vehicles: VehicleBatch, *, masks: bool = False
@@ -139,9 +129,8 @@ class TorchRenderer:
             vehicles: one row per placement, scene by scene.
         """
         if not len(vehicles):
-            return nothing_placed(
-                finish_images(self._ground(scenes, vehicles), scenes), masks=masks
-            )
+            empty = finish_images(self._ground(scenes, vehicles), scenes)
+            return nothing_placed(empty, masks=masks)
         # Steps of an attack draw other scenes each time; whoever compares camouflages, the same.
         again = not torch.is_grad_enabled()
         buffer = self._buffers.find(scenes, vehicles) if again else None
@@ -164,14 +153,9 @@ class TorchRenderer:
         )
         image = finish_images(image, scenes)
         if masks not in buffer.labels:
+            seen, factor = buffer.bodies.visibility, self.settings.supersampling
             buffer.labels[masks] = label(
-                buffer.ground,
-                placed,
-                buffer.bodies.visibility,
-                buffer.window,
-                self.settings.supersampling,
-                cover=buffer.cover,
-                masks=masks,
+                buffer.ground, placed, seen, buffer.window, factor, cover=buffer.cover, masks=masks
             )
         return replace(buffer.labels[masks], image=image)
 
@@ -189,11 +173,8 @@ class TorchRenderer:
         )
         light = lighting(placed, lights)
         sun = see_from_sun(cast, placed, faces, settings.shadow_supersampling)
-        shadows = ground_shadows(
-            draw_shadows(sun, faces),
-            contact_shadows(cast, placed),
-            light,
-        )
+        shading = sun if settings.self_shadows else None
+        shadows = ground_shadows(draw_shadows(sun, faces), contact_shadows(cast, placed), light)
         return GeometryBuffer(
             scenes=tuple(scenes),
             vertices=vehicles.vertices.detach().clone(),
@@ -202,9 +183,7 @@ class TorchRenderer:
             ground=self._ground(scenes, vehicles),
             placed=placed,
             window=window,
-            bodies=see_bodies(
-                window, placed, vehicles, sun if settings.self_shadows else None, settings
-            ),
+            bodies=see_bodies(window, placed, vehicles, shading, settings),
             shadows=WindowLayers(cast, shadows),
             lights=lights,
             lighting=light,

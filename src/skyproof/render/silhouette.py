@@ -6,8 +6,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from skyproof.geometry.meshes import mesh_edges
-from skyproof.geometry.rasterise import Visibility, face_areas
+from skyproof.geometry.meshes import at_corners, mesh_edges
+from skyproof.geometry.rasterise import Visibility, enumerate_counts, face_areas
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def silhouette_points(
     planes = screen.flatten(0, 1).t()
     with torch.no_grad():
         # Silhouettes: edges between a face towards the viewer and one that faces away.
-        front = face_areas(screen, faces) > 0
+        front = face_areas(at_corners(screen, faces)).view(len(screen), -1) > 0
         first = front.index_select(1, edge_faces[:, 0])
         second = front.index_select(1, edge_faces[:, 1])
         vehicle, edge = torch.nonzero(first != second, as_tuple=True)
@@ -68,9 +68,7 @@ def silhouette_points(
         face = torch.where(forward, one, other)
         # Cut into pieces at most a sample long, each with a point in its middle.
         pieces = whole.norm(dim=0).ceil().clamp(min=1).long()
-        row = torch.repeat_interleave(pieces)
-        step = torch.arange(len(row), device=screen.device)
-        step = step - (pieces.cumsum(0) - pieces).index_select(0, row)
+        row, step = enumerate_counts(pieces)
         along = (step.to(screen.dtype) + 0.5) / pieces.index_select(0, row)
         # Visible are the points whose sample just outside lies farther away.
         piece = whole / pieces

@@ -47,25 +47,17 @@ def wet(ground: Float[Tensor, "*S"], wetness: float) -> Float[Tensor, "*S"]:
 def finish_images(
     images: Float[Tensor, "B 3 H W"], scenes: Sequence[Scene]
 ) -> Float[Tensor, "B 3 H W"]:
-    """Lays haze, exposure, noise and JPEG, in this order, over pictures; clear ones keep their
-    bits.
+    """Lays haze, exposure, noise and JPEG over pictures, in this order; clear ones keep their bits.
 
     Differentiable; the gradient of a pixel that exposure or noise clips is zero.
     """
     if not any(_finishes(scene.weather) for scene in scenes):
         return images
-    finished = [
-        _finish(image, scene.weather, scene.seed) if _finishes(scene.weather) else image
-        for image, scene in zip(images, scenes, strict=True)
-    ]
-    return torch.stack(finished)
+    return torch.stack([_finish(*each) for each in zip(images, scenes, strict=True)])
 
 
 def jpeg(image: Float[Tensor, "3 H W"], quality: int) -> Float[Tensor, "3 H W"]:
-    """The picture after a real JPEG of this quality (Pillow, colour at half resolution as usual).
-
-    Its gradient passes straight through.
-    """
+    """The picture after Pillow's JPEG of this quality; its gradient passes straight through."""
     return _Jpeg.apply(image, quality)
 
 
@@ -89,14 +81,15 @@ def _finishes(weather: Weather) -> bool:
     return bool(weather.haze or weather.exposure_stops or weather.noise or weather.jpeg_quality)
 
 
-def _finish(image: Float[Tensor, "3 H W"], weather: Weather, seed: int) -> Float[Tensor, "3 H W"]:
+def _finish(image: Float[Tensor, "3 H W"], scene: Scene) -> Float[Tensor, "3 H W"]:
+    weather = scene.weather
     if weather.haze or weather.exposure_stops:
         light = srgb_to_linear(image)
         if weather.haze:
             light = torch.lerp(light, light.new_tensor(AIRLIGHT)[:, None, None], weather.haze)
         image = linear_to_srgb(light * 2.0**weather.exposure_stops)
     if weather.noise:
-        generator = torch.Generator().manual_seed(seed ^ _NOISE_STREAM)
+        generator = torch.Generator().manual_seed(scene.seed ^ _NOISE_STREAM)
         noise = torch.randn(image.shape, generator=generator).to(image)
         image = torch.add(image, noise, alpha=weather.noise).clamp(0.0, 1.0)
     return image if weather.jpeg_quality is None else jpeg(image, weather.jpeg_quality)

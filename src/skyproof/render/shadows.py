@@ -1,14 +1,22 @@
-"""Contact shadows: the part of the sky that a vehicle hides from the ground around it."""
+"""Shadows: what the sun does not reach, and the sky that vehicles hide from the ground beside."""
 
 import math
+from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
+from skyproof.geometry.meshes import at_corners
+from skyproof.geometry.projection import project
+from skyproof.geometry.rasterise import Visibility, rasterise
+from skyproof.render.lighting import Lighting
 from skyproof.render.placed import Placed, Windows
-from skyproof.render.shade import Lighting
 
+# Metres. The view has one depth for each of its samples, of a surface that it may see aslant. So
+# what is tested stands a little off its surface, and is lit a little behind that depth, too.
+_OFF_SURFACE_M = 0.05
+_BEHIND_M = 0.05
 # A box under a Gaussian of this many heights, times this share because its sides give light back,
 # is within 0.02 of what path tracing takes from ground beside vehicles under an overcast sky.
 _SPREAD = 0.45
@@ -19,6 +27,57 @@ _FAINTEST = 2e-3
 # Of a clear sky's light, what is missing in a cast shadow far from the vehicle, and towards it.
 _FAR_LOSS = 0.2
 _NEAR_LOSS = 0.9
+
+
+@dataclass(frozen=True)
+class SunView:
+    """Vehicles as the sun sees them, projected along its rays onto the ground: a shadow map.
+
+    Attributes:
+        samples: shadows of the vertices in samples of the windows.
+    """
+
+    placed: Placed
+    window: Windows
+    factor: int
+    samples: Float[Tensor, "N V 2"]
+    visibility: Visibility
+
+    @torch.no_grad()
+    def places(
+        self, normals: Float[Tensor, "N V 3"], faces: Int[Tensor, "F 3"]
+    ) -> Float[Tensor, "3 3 M"]:
+        """Gives column, row and depth along the sun's rays of all faces' corners, a little off the
+        surface.
+        """
+        placed = self.placed
+        off = torch.add(placed.vertices, normals, alpha=_OFF_SURFACE_M)
+        screen, depth = project(off, placed.sun, placed.gsd_m, placed.size_px)
+        samples = self.window.samples(screen, self.factor)
+        return at_corners(torch.cat((samples, depth[..., None]), dim=2), faces)
+
+    @torch.no_grad()
+    def reaches(
+        self, place: Float[Tensor, "3 K"], vehicle: Int[Tensor, " K"]
+    ) -> Float[Tensor, " K"]:
+        """Says which points, given between corners of `places`, the sun sees: 1, or 0 behind a
+        part.
+
+        After Williams (1978), with the points taken off the surface along their normals.
+        """
+        wide = self.window.size * self.factor
+        x, y = place[:2].floor().long().clamp(0, wide - 1)
+        nearest = self.visibility.depth((vehicle * wide + y) * wide + x)
+        return (nearest > place[2] - _BEHIND_M).to(place.dtype)
+
+
+def see_from_sun(
+    window: Windows, placed: Placed, faces: Int[Tensor, "F 3"], factor: int
+) -> SunView:
+    """Looks at vehicles as the sun does, with `factor` samples along a pixel's side."""
+    samples = window.samples(placed.shadow_screen, factor)
+    seen = rasterise(samples.detach(), placed.sun_depth.detach(), faces, window.size * factor)
+    return SunView(placed, window, factor, samples, seen)
 
 
 def surrounded(placed: Placed) -> Float[Tensor, "N 2 2"]:
