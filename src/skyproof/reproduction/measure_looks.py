@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,10 +24,13 @@ from skyproof.datasets.dataset import Dataset
 from skyproof.errors import ConfigurationError
 from skyproof.files import finished_folder, write_beside, write_json
 from skyproof.geometry.colour import linear_to_srgb, srgb_to_cielab, srgb_to_linear
-from skyproof.reproduction.samples import SAMPLES, sample_strips, sensor_strips
+from skyproof.render.dataset import placed_vehicles
+from skyproof.render.renderer import TorchRenderer
+from skyproof.render.settings import RenderSettings
 from skyproof.reproduction.stored_looks import Looks, PairLooks, Strip, TextureLooks
 from skyproof.results.score_folder import is_pictured
 from skyproof.scenes.backgrounds import BackgroundSet
+from skyproof.scenes.scene import Scene
 from skyproof.vehicles.fleet import Fleet
 from skyproof.vehicles.texels import texel_metric
 from skyproof.vehicles.vehicle import TEXTURE_SIZE, VehicleBatch
@@ -39,6 +42,19 @@ _SEEN_TEXELS = 4
 _BINS = 16
 """Bins of a channel's histogram. A channel is at an end in the first and the last of them."""
 
+_SAMPLES = 6
+"""Scenes of a sheet."""
+
+_CROP_PX = 48
+
+_SENSOR_STEPS = {
+    "one sample a pixel": RenderSettings(
+        supersampling=1, shadow_supersampling=1, blur_sigma_px=0.0
+    ),
+    "anti-aliasing": RenderSettings(blur_sigma_px=0.0),
+    "anti-aliasing and blur": RenderSettings(),
+}
+
 
 def write_looks(
     *, out: Path, original: Path, camouflages: Sequence[Path], backgrounds: Path, fleet: Path
@@ -49,13 +65,13 @@ def write_looks(
         looks = measure_looks(camouflages, vehicles.batch(vehicles.ids), progress=update)
         ground = BackgroundSet.open(backgrounds)
         every = Dataset.open(original).scenes
-        scenes = [scene for scene in every if scene.placements][:SAMPLES]
+        scenes = [scene for scene in every if scene.placements][:_SAMPLES]
         if scenes:
             shown = {folder.name: load_camouflage(folder) for folder in _extremes(camouflages)}
             looks = replace(
                 looks,
-                samples=_drawn(partial, "samples", sample_strips(scenes, vehicles, ground, shown)),
-                sensor=_drawn(partial, "sensor", sensor_strips(scenes, vehicles, ground)),
+                samples=_drawn(partial, "samples", _sample_strips(scenes, vehicles, ground, shown)),
+                sensor=_drawn(partial, "sensor", _sensor_strips(scenes, vehicles, ground)),
             )
         write_json(partial / "looks.json", to_builtins(looks))
     say(f"Looks of {len(camouflages)} camouflages: {out.resolve()}")
@@ -83,6 +99,53 @@ def _drawn(
             Image.fromarray(pixels.permute(1, 2, 0).numpy()).save(temporary)
         found.append(Strip(label, file))
     return found
+
+
+@torch.no_grad()
+def _sample_strips(
+    scenes: Sequence[Scene],
+    fleet: Fleet,
+    backgrounds: BackgroundSet,
+    camouflages: Mapping[str, Callable[[VehicleBatch], VehicleBatch]],
+) -> Iterator[tuple[str, UInt8[Tensor, "3 H W"]]]:
+    """Draws the same scenes as bare ground, with vehicles as built, and with each camouflage.
+
+    Yields what is shown, and the scenes side by side.
+    """
+    side_px = scenes[0].camera.size_px
+    yield "ground", _strip([backgrounds.window(scene.background, side_px) for scene in scenes])
+    vehicles = placed_vehicles(fleet, scenes)
+    renderer = TorchRenderer(backgrounds)
+    yield "as built", _strip(list(renderer(scenes, vehicles).image))
+    for name, camouflage in camouflages.items():
+        yield name, _strip(list(renderer(scenes, camouflage(vehicles)).image))
+
+
+@torch.no_grad()
+def _sensor_strips(
+    scenes: Sequence[Scene], fleet: Fleet, backgrounds: BackgroundSet
+) -> Iterator[tuple[str, UInt8[Tensor, "3 H W"]]]:
+    """Draws one vehicle of each scene with the renderer's steps towards a photograph (S2.1, S2.2).
+
+    Yields the steps taken, and crops of 48 pixels a side, side by side.
+    """
+    vehicles = placed_vehicles(fleet, scenes)
+    for label, settings in _SENSOR_STEPS.items():
+        frames = TorchRenderer(backgrounds, settings)(scenes, vehicles)
+        crops = []
+        for index, image in enumerate(frames.image):
+            box = frames.boxes[frames.scene_index == index][0]
+            across, down = ((box[:2] + box[2:]) / 2).tolist()
+            left, top = (
+                round(min(max(middle - _CROP_PX / 2, 0), image.shape[-1] - _CROP_PX))
+                for middle in (across, down)
+            )
+            crops.append(image[:, top : top + _CROP_PX, left : left + _CROP_PX])
+        yield label, _strip(crops)
+
+
+def _strip(images: Sequence[Float[Tensor, "3 H W"]]) -> UInt8[Tensor, "3 H sheet"]:
+    return (torch.cat([image.cpu() for image in images], dim=2) * 255).round().byte()
 
 
 def measure_looks(

@@ -1,7 +1,8 @@
 """The steps of a reproduction: the command of each, and what it leaves."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.cli.attack import Attack
 from skyproof.cli.ground import Ground
 from skyproof.cli.precheck import Precheck
-from skyproof.cli.render import Render
+from skyproof.cli.render import Render, draw_scenes
 from skyproof.cli.score import Score
 from skyproof.cli.train import Train
 from skyproof.cli.vehicles import Vehicles
@@ -55,24 +56,19 @@ def command_step(kind: str, name: str, command: Any, *outputs: Path, **more: Any
 def _function_step(
     kind: str,
     name: str,
-    function: str,
+    function: Callable[..., object],
     settings: Mapping[str, Any],
     *outputs: Path,
-    device: str | None = None,
     **more: Any,
 ) -> Step:
-    """Returns a step that one function does, a "module:name" of this room.
-
-    Its arguments are the settings and, if it takes one, the device, which decides no results. The
-    module is imported when the step is done.
-    """
-    arguments = settings if device is None else {**settings, "device": device}
-
-    def work() -> None:
-        module, _, wanted = function.partition(":")
-        getattr(import_module(f"skyproof.reproduction.{module}"), wanted)(**arguments)
-
+    """Returns a step that one function does, whose arguments are the settings."""
+    work = partial(function, **settings)
     return Step(kind, name, outputs or (settings["out"],), work, settings, **more)
+
+
+def _later(module: str, function: str, **arguments: Any) -> None:
+    """Calls a function of this room, whose module is imported only now."""
+    getattr(import_module(f"skyproof.reproduction.{module}"), function)(**arguments)
 
 
 class Steps:
@@ -137,7 +133,7 @@ class Steps:
             "settings": self._sizes.scenes(split),
             "seed": self._preset.seed,
         }
-        return _function_step("scenes", split, "samples:draw_scenes", settings)
+        return _function_step("scenes", split, draw_scenes, settings)
 
     def render(self, split: Rendered, rendering: Rendering = _TORCH) -> Step:
         """Renders a split without camouflage."""
@@ -284,7 +280,11 @@ class Steps:
         settings = {"out": self._run.looks, **self._on_test_scenes(names)}
         effort_s = 2 * START_S + _LOOK_S * len(names)
         return _function_step(
-            "looks", "looks", "measure_looks:write_looks", settings, effort_s=effort_s
+            "looks",
+            "looks",
+            partial(_later, "measure_looks", "write_looks"),
+            settings,
+            effort_s=effort_s,
         )
 
     def features(self, names: Sequence[str]) -> Step:
@@ -295,15 +295,10 @@ class Steps:
             "seed": self._preset.seed,
             **self._on_test_scenes(names),
         }
+        function = partial(_later, "gather_features", "store_features", device=self._device)
         images = min(self._sizes.test_images, MOST_SCENES) * len(names)
-        return _function_step(
-            "features",
-            "features",
-            "gather_features:store_features",
-            settings,
-            device=self._device,
-            effort_s=self._effort_s(_RENDER_S["torch"], images),
-        )
+        effort_s = self._effort_s(_RENDER_S["torch"], images)
+        return _function_step("features", "features", function, settings, effort_s=effort_s)
 
     def report(self, scores: Sequence[Step], checked: Sequence[str]) -> Step:
         """Merges all scores and writes the report."""
@@ -312,7 +307,7 @@ class Steps:
         return _function_step(
             "report",
             "report",
-            "report:write_reproduction_report",
+            partial(_later, "report", "write_reproduction_report"),
             {"out": run.folder},
             run.results,
             run.report,
