@@ -1,12 +1,21 @@
 """Rank correlation with the paper, against SciPy's."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy import stats
 
-from skyproof.reproduction.agreement import rank_agreement, rank_correlations, renderer_agreement
+from skyproof.reproduction.agreement import (
+    correlated,
+    rank_correlations,
+    successes,
+    with_paper,
+)
 from skyproof.reproduction.paper_results import PAPER_RESULTS
 from skyproof.results.pairs.counts import OutcomeCounts, Series
+from skyproof.results.results import Results
+from skyproof.results.stored import RunConfig
 from tests.results.counted import on_tiles
 
 PAPER = {name: result.easr for name, result in PAPER_RESULTS.items()}
@@ -41,22 +50,38 @@ OURS = {
 }
 
 
+def beside_the_paper(tiles, paper=PAPER, rows=None, renderer="torch"):
+    """The row of all attacks."""
+    rows = with_paper(results_of(tiles), "compared", paper, rows or {}, renderer)
+    return next((row for row in rows if row["set"] == "all, with random controls"), None)
+
+
+def between_renderers(tiles, names):
+    results = results_of(tiles)
+    orders = [successes(results, names, each, paired=True) for each in ("torch", "cycles")]
+    return correlated("compared", "all", names, *orders)
+
+
+def results_of(tiles):
+    return Results(Path(), [], [], tiles, [], RunConfig(), {}, [], {}, {}, {})
+
+
+def is_that_of_scipy(row, ours, theirs):
+    assert row["attacks"] == len(ours)
+    assert row["spearman"] == pytest.approx(stats.spearmanr(ours, theirs).statistic)
+    assert row["kendall"] == pytest.approx(stats.kendalltau(ours, theirs).statistic)
+
+
 def test_correlations_are_those_of_scipy():
-    found = rank_agreement(counted(OURS), PAPER, rows={"S-O": "S-O@0.4"})
-    assert found.attacks == ["T-U", "S-O", "T-Ma", "T-Fc", "T-FcMa", "R-U"]
-    assert found.ours == pytest.approx([0.98, 0.8, 0.6, 0.7, 0.03, 0.03])
-    assert found.theirs == [95.77, 89.82, 75.76, 37.22, 12.58, 0.88]
-    assert found.spearman.estimate == pytest.approx(
-        stats.spearmanr(found.ours, found.theirs).statistic
-    )
-    assert found.kendall.estimate == pytest.approx(
-        stats.kendalltau(found.ours, found.theirs).statistic
-    )
+    row = beside_the_paper(counted(OURS), rows={"S-O": "S-O@0.4"})
+    # T-U, S-O, T-Ma, T-Fc, T-FcMa, R-U.
+    theirs = [95.77, 89.82, 75.76, 37.22, 12.58, 0.88]
+    is_that_of_scipy(row, [0.98, 0.8, 0.6, 0.7, 0.03, 0.03], theirs)
     # Tiles that are all alike leave the order as it is.
-    assert found.spearman.low == pytest.approx(found.spearman.high)
+    assert row["spearman_low"] == pytest.approx(row["spearman_high"])
     # A combination without a shape is its texture, and counts as that alone.
     best = {"S-O": "S-O@0.4", "C-Fc-seq": "T-Fc", "C-Fc-par": "T-Fc"}
-    assert rank_agreement(counted(OURS), PAPER, rows=best).attacks == found.attacks
+    assert beside_the_paper(counted(OURS), rows=best) == row
 
 
 def test_many_orders_at_once_are_each_that_of_scipy(rng):
@@ -73,18 +98,15 @@ def test_many_orders_at_once_are_each_that_of_scipy(rng):
 
 
 def test_tiles_that_differ_leave_the_order_open(rng):
-    found = rank_agreement(counted(OURS, rng), PAPER)
-    assert found.spearman.low <= found.spearman.estimate <= found.spearman.high <= 1
-    assert found.spearman.low < found.spearman.high
-    assert found.kendall.low < found.kendall.high <= 1
+    row = beside_the_paper(counted(OURS, rng))
+    assert row["spearman_low"] <= row["spearman"] <= row["spearman_high"] <= 1
+    assert row["spearman_low"] < row["spearman_high"]
+    assert row["kendall_low"] < row["kendall_high"] <= 1
 
 
 def test_the_reverse_order():
-    found = rank_agreement(counted({"T-U": 1, "T-Ma": 2, "T-Fc": 3}), PAPER)
-    assert (found.spearman.estimate, found.kendall.estimate) == (
-        pytest.approx(-1),
-        pytest.approx(-1),
-    )
+    row = beside_the_paper(counted({"T-U": 1, "T-Ma": 2, "T-Fc": 3}))
+    assert (row["spearman"], row["kendall"]) == (pytest.approx(-1), pytest.approx(-1))
 
 
 def test_two_renderers():
@@ -94,38 +116,35 @@ def test_two_renderers():
     )
     alone = counted({"T-U-2": 0}).series  # a repeat that only one of them has does not count
     both = OutcomeCounts(ours.cells, {**ours.series, **other.series, **alone})
-    found = renderer_agreement(both, ["T-U", "T-Fc", "T-Ma", "T-X", "R-U"])
+    (row,) = between_renderers(both, ["T-U", "T-Fc", "T-Ma", "T-X", "R-U"])
     # T-X and R-U are on one of them only.
-    assert found.attacks == ["T-Ma", "T-U", "T-Fc"]
-    assert found.ours == pytest.approx([0.6, 0.98, 0.7])
-    assert found.theirs == pytest.approx([0.7, 0.5, 0.2])
-    assert found.spearman.estimate == pytest.approx(
-        stats.spearmanr(found.ours, found.theirs).statistic
-    )
-    assert found.kendall.estimate == pytest.approx(
-        stats.kendalltau(found.ours, found.theirs).statistic
-    )
+    is_that_of_scipy(row, [0.98, 0.7, 0.6], [0.5, 0.2, 0.7])
+    paired = successes(results_of(both), ["T-U"], "torch", paired=True)
+    assert paired["T-U"][0] == pytest.approx(0.98)
     # The paper's Blender column beside ours on Cycles alone.
-    blender = rank_agreement(both, {"T-U": 3.0, "T-Ma": 2.0, "T-Fc": 1.0}, renderer="cycles")
-    assert blender.ours == pytest.approx([0.5, 0.7, 0.2])
-    assert renderer_agreement(both, ["T-U", "T-Fc", "T-X"]) is None
+    paper = {"T-U": 3.0, "T-Ma": 2.0, "T-Fc": 1.0}
+    is_that_of_scipy(
+        beside_the_paper(both, paper, renderer="cycles"), [0.5, 0.7, 0.2], [3.0, 2.0, 1.0]
+    )
+    assert between_renderers(both, ["T-U", "T-Fc", "T-X"]) == []
 
 
 def test_two_renderers_of_unlike_tiles_leave_the_order_open(rng):
     ours = counted(OURS, rng)
     other = counted({"T-U-0": 55, "T-Ma": 50, "T-Fc": 45}, rng, renderer="cycles")
     both = OutcomeCounts(ours.cells, {**ours.series, **other.series})
-    found = renderer_agreement(both, ["T-U", "T-Ma", "T-Fc"])
-    assert -1 <= found.spearman.low < found.spearman.high <= 1
-    fixed = rank_agreement(
-        both, dict(zip(found.attacks, found.theirs, strict=True)), renderer="torch"
-    )
+    names = ["T-U", "T-Ma", "T-Fc"]
+    (row,) = between_renderers(both, names)
+    assert -1 <= row["spearman_low"] < row["spearman_high"] <= 1
+    theirs = successes(results_of(both), names, "cycles", paired=True)
+    fixed = beside_the_paper(both, {name: easr[0] for name, easr in theirs.items()})
     # Both move here, only one there.
-    assert found.spearman.high - found.spearman.low >= fixed.spearman.high - fixed.spearman.low
+    width = row["spearman_high"] - row["spearman_low"]
+    assert width >= fixed["spearman_high"] - fixed["spearman_low"]
 
 
 def test_too_few_are_not_compared():
-    assert rank_agreement(counted({"T-U": 50, "T-Ma": 20, "T-X": 20}), PAPER) is None
+    assert beside_the_paper(counted({"T-U": 50, "T-Ma": 20, "T-X": 20})) is None
 
 
 def test_the_papers_table():

@@ -3,16 +3,13 @@
 Rank correlations over the attacks of table 2 answer that, and the ranks themselves.
 """
 
-import itertools
 import math
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy import stats
 
 from skyproof.camouflage.name import CamouflageName
@@ -28,66 +25,71 @@ from skyproof.reproduction.cells import (
 )
 from skyproof.reproduction.paper_results import ON_BLENDER, ON_RENDERER, PAPER_RESULTS
 from skyproof.reproduction.reproduction import Reproduction, point_name
-from skyproof.results.pairs.counts import OutcomeCounts
 from skyproof.results.result import MAIN_MATCH
-from skyproof.results.results import CYCLES, RENDERER
-from skyproof.results.statistics.intervals import Interval, Sample
+from skyproof.results.results import CYCLES, RENDERER, Results
+from skyproof.results.statistics.intervals import Interval
 from skyproof.results.statistics.rates import overall_attack_success_rate
 
+TEXTURE = re.compile(r"[TR]-[A-Za-z]+")
+
+Successes = Mapping[str, Float[np.ndarray, " _"]]
+"""EASR by attack: the estimate, and after it that of every replicate, if there are any."""
+
 _FEWEST = 3
+_RENDERER = "our EASR and the paper’s on its renderer"
+_SETS: dict[str, Callable[[str], bool]] = {
+    "textures": lambda name: name.startswith("T-"),
+    "textures, shape and combinations": lambda name: not name.startswith("R-"),
+    "all, with random controls": lambda name: True,
+}
 
 
-@dataclass(frozen=True)
-class Agreement:
-    """How alike two orders of the same attacks are.
+def successes(
+    results: Results, names: Iterable[str], renderer: str, *, paired: bool = False
+) -> Successes:
+    """Gives the EASR of attacks, mean over repeats and detectors, and in resamples of the tiles.
 
-    Attributes:
-        attacks: names, in the second order of falling success.
-        ours, theirs: EASR per attack in either order.
-        spearman, kendall: rank correlations (Kendall's tau-b), 1 for the same order, −1 for the
-            reverse, with the 95 % percentile interval over resampled tiles.
+    With `paired`, only repeats that were scored under both renderers count.
     """
+    wanted = {*names}
+    every = results.counts.series
+    series: dict[str, list[np.ndarray]] = {}
+    for key, counts in every.items():
+        name = str(CamouflageName.read(key.camouflage).pooled)
+        if (key.renderer, key.match) != (renderer, MAIN_MATCH) or name not in wanted:
+            continue
+        if not paired or all(key._replace(renderer=each) in every for each in (RENDERER, CYCLES)):
+            series.setdefault(name, []).append(counts[:, 1:])
+    found = {}
+    for name, own in series.items():
+        stack = np.stack(own)
+        sums = np.concatenate([stack.sum(axis=1)[None], results.sample.replicates(stack)])
+        found[name] = overall_attack_success_rate(sums).mean(axis=-1)
+    return found
 
-    attacks: Sequence[str]
-    ours: Sequence[float]
-    theirs: Sequence[float]
-    spearman: Interval
-    kendall: Interval
 
+def correlated(
+    compared: str, label: str, names: Iterable[str], ours: Successes, theirs: Successes
+) -> list[dict[str, Any]]:
+    """Gives the row of the rank correlations between two orders of attacks.
 
-def rank_agreement(
-    tiles: OutcomeCounts,
-    paper: Mapping[str, float],
-    rows: Mapping[str, str] = MappingProxyType({}),
-    *,
-    renderer: str = RENDERER,
-) -> Agreement | None:
-    """Gives the rank correlation between our EASRs and the paper's over the attacks both have.
-
-    An attack whose row is another one's, such as a combination whose best magnitude is 0, counts
-    once, as that. Ours are means over repeats and detectors, and vary over resampled tiles alone.
-
-    Args:
-        tiles: our counts.
-        paper: EASR by attack.
-        rows: our row for an attack if its name differs, such as {"S-O": "S-O@0.4"}.
-        renderer: the renderer of our counts.
-
-    Returns:
-        None for fewer than three attacks, or if an EASR is undefined.
+    None for fewer than three attacks, or if an EASR is undefined; replicates in which one is
+    undefined are left out.
     """
-    # The paper's most successful attack comes first.
-    series = _pooled(tiles, renderer)
-    shared = [
-        name
-        for name in sorted(paper, key=lambda name: -paper[name])
-        if rows.get(name, name) in series and not is_copy(name, rows, paper)
-    ]
-    sample = Sample.draw(tiles.cells, generator=np.random.default_rng(0))
-    ours, drawn = _easr([series[rows.get(name, name)] for name in shared], sample)
-    # The paper's are the same in every replicate.
-    theirs = np.array([paper[name] for name in shared])
-    return _agreement(shared, ours, theirs, drawn, np.tile(theirs, (len(drawn), 1)))
+    shared = [name for name in names if name in ours and name in theirs]
+    if len(shared) < _FEWEST:
+        return []
+    one, other = np.broadcast_arrays(
+        *(np.stack([each[name] for name in shared], axis=-1) for each in (ours, theirs))
+    )
+    defined = ~np.isnan(one + other).any(axis=1)
+    if not defined[0]:
+        return []
+    row: dict[str, Any] = {"compared": compared, "set": label, "attacks": len(shared)}
+    spearman, kendall = rank_correlations(one[defined], other[defined])
+    for name, found in (("spearman", spearman), ("kendall", kendall)):
+        row |= interval_cells(name, percentile_interval(float(found[0]), found[1:]))
+    return [row]
 
 
 def is_copy(name: str, rows: Mapping[str, str], names: Collection[str]) -> bool:
@@ -96,87 +98,10 @@ def is_copy(name: str, rows: Mapping[str, str], names: Collection[str]) -> bool:
     return row != name and row in names
 
 
-def renderer_agreement(tiles: OutcomeCounts, names: Iterable[str]) -> Agreement | None:
-    """Gives the rank correlation between the EASRs under both renderers, Cycles the second.
-
-    Repeats that only one renderer has are left out. Both vary over the same resampled tiles.
-
-    Args:
-        tiles: counts under both.
-        names: names of the attacks to compare, without repeats.
-
-    Returns:
-        None for fewer than three attacks, or if an EASR is undefined.
-    """
-    both = [
-        all(key._replace(renderer=renderer) in tiles.series for renderer in (RENDERER, CYCLES))
-        for key in tiles.series
-    ]
-    paired = OutcomeCounts(tiles.cells, dict(itertools.compress(tiles.series.items(), both)))
-    first, second = (_pooled(paired, renderer) for renderer in (RENDERER, CYCLES))
-    shared = [name for name in names if name in first and name in second]
-    sample = Sample.draw(tiles.cells, generator=np.random.default_rng(0))
-    ours, drawn_ours = _easr([first[name] for name in shared], sample)
-    theirs, drawn_theirs = _easr([second[name] for name in shared], sample)
-    # In the second renderer's order of falling success.
-    order = np.argsort(-theirs, kind="stable")
-    names = [shared[place] for place in order]
-    return _agreement(
-        names, ours[order], theirs[order], drawn_ours[:, order], drawn_theirs[:, order]
-    )
-
-
-def _pooled(tiles: OutcomeCounts, renderer: str) -> dict[str, list[Int[np.ndarray, "N 3"]]]:
-    """Gathers the pair counts of every repeat and detector by attack."""
-    series: dict[str, list[np.ndarray]] = {}
-    for key, counts in tiles.series.items():
-        if (key.renderer, key.match) == (renderer, MAIN_MATCH):
-            series.setdefault(str(CamouflageName.read(key.camouflage).pooled), []).append(
-                counts[:, 1:]
-            )
-    return series
-
-
-def _easr(
-    attacks: Sequence[Sequence[Int[np.ndarray, "N 3"]]], sample: Sample
-) -> tuple[Float[np.ndarray, " A"], Float[np.ndarray, "R A"]]:
-    """The mean EASR of every attack, as it is and on the resampled tiles."""
-    stacks = [np.stack(counts) for counts in attacks]
-    easr = [overall_attack_success_rate(stack.sum(axis=1)).mean() for stack in stacks]
-    drawn = [
-        overall_attack_success_rate(sample.replicates(stack)).mean(axis=-1) for stack in stacks
-    ]
-    return np.array(easr), np.stack(drawn, axis=1) if drawn else np.empty((0, 0))
-
-
-def _agreement(
-    names: Sequence[str],
-    ours: Float[np.ndarray, " A"],
-    theirs: Float[np.ndarray, " A"],
-    drawn_ours: Float[np.ndarray, "R A"],
-    drawn_theirs: Float[np.ndarray, "R A"],
-) -> Agreement | None:
-    """Correlates two orders; replicates in which an EASR is undefined are left out."""
-    if len(names) < _FEWEST or np.isnan(ours).any() or np.isnan(theirs).any():
-        return None
-    defined = ~np.isnan(drawn_ours).any(axis=1) & ~np.isnan(drawn_theirs).any(axis=1)
-    estimates = rank_correlations(ours, theirs)
-    drawn = rank_correlations(drawn_ours[defined], drawn_theirs[defined])
-    spearman, kendall = (
-        percentile_interval(float(estimate), replicates)
-        for estimate, replicates in zip(estimates, drawn, strict=True)
-    )
-    return Agreement(names, ours.tolist(), theirs.tolist(), spearman, kendall)
-
-
 def rank_correlations(
     one: Float[np.ndarray, "*R A"], other: Float[np.ndarray, "*R A"]
 ) -> tuple[Float[np.ndarray, "*R"], Float[np.ndarray, "*R"]]:
-    """Gives Spearman's correlation and Kendall's tau-b; nan where all of one are equal.
-
-    Args:
-        one, other: one order of the same attacks in each row.
-    """
+    """Gives Spearman's correlation and Kendall's tau-b by row; nan where all of one are equal."""
     ranks = (stats.rankdata(one, axis=-1), stats.rankdata(other, axis=-1))
     deviations = (own - own.mean(axis=-1, keepdims=True) for own in ranks)
     pairs = (np.sign(values[..., :, None] - values[..., None, :]) for values in (one, other))
@@ -200,16 +125,6 @@ def percentile_interval(estimate: float, drawn: Float[np.ndarray, " R"]) -> Inte
         return Interval(estimate, math.nan, math.nan)
     low, high = np.quantile(drawn, [0.025, 0.975])
     return Interval(estimate, min(float(low), estimate), max(float(high), estimate))
-
-
-TEXTURE = re.compile(r"[TR]-[A-Za-z]+")
-
-_RENDERER = "our EASR and the paper’s on its renderer"
-_SETS: dict[str, Callable[[str], bool]] = {
-    "textures": lambda name: name.startswith("T-"),
-    "textures, shape and combinations": lambda name: not name.startswith("R-"),
-    "all, with random controls": lambda name: True,
-}
 
 
 def agreement_part(run: Reproduction) -> Topic:
@@ -243,29 +158,38 @@ def correlation_grid(rows: Sequence[Mapping[str, Any]]) -> TextTable:
     )
 
 
-def correlated(compared: str, label: str, found: Agreement | None) -> list[dict[str, Any]]:
-    """Gives the row of one correlation, if there is any."""
-    if found is None:
-        return []
-    row = {"compared": compared, "set": label, "attacks": len(found.attacks)}
-    row |= interval_cells("spearman", found.spearman)
-    return [row | interval_cells("kendall", found.kendall)]
-
-
 def with_paper(
-    run: Reproduction,
+    results: Results,
     compared: str,
     paper: Mapping[str, float],
     rows: Mapping[str, str],
     renderer: str = RENDERER,
 ) -> list[dict[str, Any]]:
-    """Correlates our ranks under a renderer with a column of the paper's, set by set."""
-    found = []
-    for label, belongs in _SETS.items():
-        wanted = {name: easr for name, easr in paper.items() if belongs(name)}
-        agreement = rank_agreement(run.results.counts, wanted, rows, renderer=renderer)
-        found += correlated(compared, label, agreement)
-    return found
+    """Correlates our EASRs under a renderer with a column of the paper's, set by set.
+
+    `rows` has our row of an attack if its name differs, such as {"S-O": "S-O@0.4"}. An attack whose
+    row is another one's, such as a combination whose best magnitude is 0, counts once, as that.
+    """
+    known = successes(results, [rows.get(name, name) for name in paper], renderer)
+    ours = {
+        name: known[rows.get(name, name)]
+        for name in paper
+        if rows.get(name, name) in known and not is_copy(name, rows, paper)
+    }
+    return _by_set(compared, ours, _fixed(paper))
+
+
+def _by_set(compared: str, ours: Successes, theirs: Successes) -> list[dict[str, Any]]:
+    return [
+        row
+        for label, belongs in _SETS.items()
+        for row in correlated(compared, label, filter(belongs, ours), ours, theirs)
+    ]
+
+
+def _fixed(paper: Mapping[str, float]) -> Successes:
+    """The paper gives no intervals: its EASRs are the same in every replicate."""
+    return {name: np.array([easr]) for name, easr in paper.items()}
 
 
 def _rows(run: Reproduction) -> list[dict[str, Any]]:
@@ -275,28 +199,17 @@ def _rows(run: Reproduction) -> list[dict[str, Any]]:
         for name, result in PAPER_RESULTS.items()
         if result.perturbation_magnitude is not None
     }
-    at_same = with_paper(run, "the same, at the paper’s PM*", ON_RENDERER, same)
+    at_same = with_paper(run.results, "the same, at the paper’s PM*", ON_RENDERER, same)
     rows = [
-        *with_paper(run, _RENDERER, ON_RENDERER, run.best),
+        *with_paper(run.results, _RENDERER, ON_RENDERER, run.best),
         *(row for row in at_same if row["set"] != "textures"),
-        *with_paper(run, "our EASR and the paper’s on Blender", ON_BLENDER, run.best),
+        *with_paper(run.results, "our EASR and the paper’s on Blender", ON_BLENDER, run.best),
     ]
     # Where ours cannot be compared, the paper's own agreement is no one's question.
     if rows:
-        for label, belongs in _SETS.items():
-            names = [name for name in ON_BLENDER if belongs(name)]
-            rows += correlated("the paper’s two columns", label, _with_itself(names))
+        columns = (_fixed(ON_RENDERER), _fixed(ON_BLENDER))
+        rows += _by_set("the paper’s two columns", *columns)
     return rows
-
-
-def _with_itself(names: Sequence[str]) -> Agreement:
-    """The paper gives no intervals, so that nothing says how sure its own agreement is."""
-    first, second = ([column[name] for name in names] for column in (ON_RENDERER, ON_BLENDER))
-    spearman, kendall = (
-        Interval(float(found), math.nan, math.nan)
-        for found in rank_correlations(np.array(first), np.array(second))
-    )
-    return Agreement(names, first, second, spearman, kendall)
 
 
 def comparison(run: Reproduction) -> dict[str, float]:

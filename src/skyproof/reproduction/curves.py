@@ -1,18 +1,19 @@
 """Success against practicality: how much shape an attack needs, and where the two balance."""
 
 import math
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
-from matplotlib import pyplot as plt
 from matplotlib.lines import Line2D
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
-from skyproof.report.figures import GREY, INK, STYLE, as_files
+from skyproof.report.figures import GREY, INK, as_files
+from skyproof.reproduction.drawing import figure_style, panels, rule
 from skyproof.reproduction.paper_results import PAPER_RESULTS
 from skyproof.results.pairs.counts import OutcomeCounts, Series, repeat_of
 from skyproof.results.result import MAIN_MATCH
@@ -20,6 +21,19 @@ from skyproof.results.results import RENDERER
 from skyproof.results.statistics.contrasts import Group, mean_interval
 from skyproof.results.statistics.intervals import Interval, Sample
 from skyproof.results.statistics.rates import overall_attack_success_rate
+
+# Okabe and Ito's colours, safe for colour-blind readers; markers differ as well.
+_TEXTURES = {
+    "O": (INK, "o", "original texture (S-O)"),
+    "U": ("#0072B2", "s", "U"),
+    "Pix": ("#56B4E9", "D", "Pix"),
+    "Lc": ("#009E73", "^", "Lc"),
+    "PixLc": ("#CC79A7", "v", "PixLc"),
+    "Fc": ("#E69F00", "P", "Fc"),
+    "PixFc": ("#D55E00", "X", "PixFc"),
+}
+# Fc and PixFc have nearly the same numbers in the paper.
+_ASIDE = {"Fc": -0.012, "PixFc": 0.012}
 
 
 @dataclass(frozen=True)
@@ -46,17 +60,15 @@ class Point:
 
 @dataclass(frozen=True)
 class PracticalityCurve:
-    """EASR against practicality of one family.
+    """EASR against practicality of one family, such as "S-O" or "C-Fc-seq".
 
     Attributes:
-        family: "S-O", "C-Fc-seq", ...
         points: by rising magnitude.
-        best: PM*, the magnitude of the largest P1; the smallest of equals.
+        best: the point at PM*, the magnitude of the largest P1; the smallest of equals.
     """
 
-    family: str
     points: Sequence[Point]
-    best: float
+    best: Point
 
 
 def p1_score(
@@ -66,57 +78,36 @@ def p1_score(
 
     nan stays nan.
     """
-    easr = np.asarray(easr, dtype=np.float64)
-    practicality = np.asarray(practicality, dtype=np.float64)
     positive = np.where(easr > 0, easr, 0.0)
     total = positive + practicality
     score = np.divide(2 * positive * practicality, total, out=np.zeros_like(total), where=total > 0)
     return np.where(np.isnan(easr), np.nan, score)
 
 
-def curve_families(tiles: OutcomeCounts) -> list[str]:
-    """Lists the families that have a curve: names with a magnitude ("S-O@0.4").
+def practicality_curves(tiles: OutcomeCounts) -> dict[str, PracticalityCurve]:
+    """Gives the curve of every family: names with a magnitude ("S-O@0.4"), S-O first.
 
-    Controls and variants have none.
-    """
-    names = [CamouflageName.read(key.camouflage) for key in tiles.series]
-    return list(
-        dict.fromkeys(
-            name.family
-            for name in names
-            if name.magnitude is not None and not name.random and not name.variant
-        )
-    )
-
-
-def practicality_curve(
-    tiles: OutcomeCounts,
-    family: str,
-    *,
-    generator: np.random.Generator,
-) -> PracticalityCurve:
-    """Gives the curve of one family over the magnitudes that were scored.
-
-    Repeats and detectors are averaged; all magnitudes on the same tiles and vehicles. Magnitude 0
-    is the texture by itself: "T-Fc" for "C-Fc-seq". For "S-O" it is the vehicle as it was, whose
-    EASR is 0 by definition.
-
-    Args:
-        tiles: counts of the magnitudes, and of the texture where the family has one.
-        family: name before "@".
-        generator: of the bootstrap.
+    Controls and variants have none. Repeats and detectors are averaged; all magnitudes on the same
+    tiles and vehicles. Magnitude 0 is the texture by itself: "T-Fc" for "C-Fc-seq". For "S-O" it is
+    the vehicle as it was, whose EASR is 0 by definition.
 
     Raises:
-        ConfigurationError: nothing of the family was scored, or a detector scored only some of its
-            magnitudes.
+        ConfigurationError: a detector scored only some magnitudes of a family.
     """
+    names = [CamouflageName.read(key.camouflage) for key in tiles.series]
+    families = dict.fromkeys(
+        name.family
+        for name in names
+        if name.magnitude is not None and not name.random and not name.variant
+    )
+    ordered = sorted(families, key=lambda family: family != "S-O")
+    return {family: _curve(tiles, family) for family in ordered}
+
+
+def _curve(tiles: OutcomeCounts, family: str) -> PracticalityCurve:
     groups = _magnitudes(tiles, family)
-    if not groups or set(groups) == {0.0}:
-        raise ConfigurationError(
-            f"Nothing of {family} was scored; score {family}@0.1, {family}@0.2, ..."
-        )
-    scored = {magnitude: {key.detector for key, _ in group} for magnitude, group in groups.items()}
-    if len({frozenset(names) for names in scored.values()}) > 1:
+    scored = {frozenset(key.detector for key, _ in group) for group in groups.values()}
+    if len(scored) > 1:
         raise ConfigurationError(
             f"The magnitudes of {family} were scored by different detectors; score all of them "
             "with the same."
@@ -124,63 +115,47 @@ def practicality_curve(
     every = [counts for group in groups.values() for _, counts in group]
     shown = np.any([counts[:, 0] > 0 for counts in every], axis=0)
     cells = [cell for cell, seen in zip(tiles.cells, shown, strict=True) if seen]
-    sample = Sample.draw(cells, generator=generator)
-    stacks = {
-        pm: Group(
-            np.stack([counts[shown, 1:] for _, counts in groups[pm]]),
-            sample,
-            [[repeat_of(key.camouflage)] for key, _ in groups[pm]],
-        )
-        for pm in sorted(groups)
-    }
-    easr = {pm: mean_interval(group) for pm, group in stacks.items()}
-    replicates = {
-        pm: overall_attack_success_rate(sample.replicates(group.counts)).mean(axis=-1)
-        for pm, group in stacks.items()
-    }
+    sample = Sample.draw(cells, generator=np.random.default_rng(0))
+    easr = {}
+    replicates = {}
+    for magnitude, series in groups.items():
+        counted = np.stack([counts[shown, 1:] for _, counts in series])
+        repeats = [[repeat_of(key.camouflage)] for key, _ in series]
+        easr[magnitude] = mean_interval(Group(counted, sample, repeats))
+        drawn = overall_attack_success_rate(sample.replicates(counted))
+        replicates[magnitude] = drawn.mean(axis=-1)
     if family == "S-O":
         # Without any change every vehicle is found exactly when it was found before.
         easr[0.0] = Interval(0.0, 0.0, 0.0)
         replicates[0.0] = np.zeros(len(sample.weights))
     magnitudes = sorted(easr)
-    p1 = [float(p1_score(np.array(easr[pm].estimate), 1 - pm)) for pm in magnitudes]
     shares = _shares_best(np.stack([p1_score(replicates[pm], 1 - pm) for pm in magnitudes]))
     points = [
-        Point(pm, easr[pm], score, share)
-        for pm, score, share in zip(magnitudes, p1, shares, strict=True)
+        Point(pm, easr[pm], float(p1_score(np.array(easr[pm].estimate), 1 - pm)), share)
+        for pm, share in zip(magnitudes, shares, strict=True)
     ]
-    best = max(
-        points,
-        key=lambda point: (
-            -1.0 if math.isnan(point.p1) else point.p1,
-            -point.perturbation_magnitude,
-        ),
-    )
-    return PracticalityCurve(family, points, best.perturbation_magnitude)
+    # Of equals the first is the largest.
+    best = max(points, key=lambda point: -1.0 if math.isnan(point.p1) else point.p1)
+    return PracticalityCurve(points, best)
 
 
 def _magnitudes(
     tiles: OutcomeCounts, family: str
 ) -> Mapping[float, list[tuple[Series, Int[np.ndarray, "N 4"]]]]:
     """Gathers by magnitude the counts of every repeat and detector."""
-    groups: dict[float, list[tuple[Series, Int[np.ndarray, "N 4"]]]] = {}
+    kind, _, rest = family.partition("-")
+    # The curve of a combination starts at its texture: "T-Fc" of "C-Fc-seq".
+    texture = f"T-{rest.rpartition('-')[0]}" if kind == "C" else None
+    groups = defaultdict(list)
     for key, counts in tiles.series.items():
-        if (key.renderer, key.match) != (RENDERER, MAIN_MATCH):
-            continue
         name = CamouflageName.read(key.camouflage)
-        if name.variant:
+        if (key.renderer, key.match) != (RENDERER, MAIN_MATCH) or name.variant:
             continue
         if name.magnitude is not None and name.family == family:
-            groups.setdefault(name.magnitude, []).append((key, counts))
-        elif name.family == _texture_of(family):
-            groups.setdefault(0.0, []).append((key, counts))
+            groups[name.magnitude].append((key, counts))
+        elif name.family == texture:
+            groups[0.0].append((key, counts))
     return groups
-
-
-def _texture_of(family: str) -> str | None:
-    """Gives the texture at which the curve of a combination starts: "T-Fc" of "C-Fc-seq"."""
-    kind, _, rest = family.partition("-")
-    return f"T-{rest.rpartition('-')[0]}" if kind == "C" else None
 
 
 def _shares_best(scores: Float[np.ndarray, "M R"]) -> list[float]:
@@ -191,88 +166,54 @@ def _shares_best(scores: Float[np.ndarray, "M R"]) -> list[float]:
     scores = scores[:, ~np.isnan(scores).any(axis=0)]
     if scores.shape[1] == 0:
         return [math.nan] * len(scores)
-    return [
-        float(share)
-        for share in np.bincount(scores.argmax(axis=0), minlength=len(scores)) / scores.shape[1]
-    ]
+    wins = np.bincount(scores.argmax(axis=0), minlength=len(scores))
+    return (wins / scores.shape[1]).tolist()
 
 
-# Okabe and Ito's colours, safe for colour-blind readers; markers differ as well.
-_TEXTURES = {
-    "O": (INK, "o", "original texture (S-O)"),
-    "U": ("#0072B2", "s", "U"),
-    "Pix": ("#56B4E9", "D", "Pix"),
-    "Lc": ("#009E73", "^", "Lc"),
-    "PixLc": ("#CC79A7", "v", "PixLc"),
-    "Fc": ("#E69F00", "P", "Fc"),
-    "PixFc": ("#D55E00", "X", "PixFc"),
-}
-
-
+@figure_style("easr-against-practicality")
 def curves_figure(curves: Mapping[str, PracticalityCurve]) -> dict[str, bytes]:
-    """Draws S-O and combinations with the six textures without mask; SVG or PNG by file ending."""
-    with plt.rc_context(STYLE | {"svg.hashsalt": "easr-against-practicality"}):
-        figure, (left, right) = plt.subplots(
-            1, 2, figsize=(12.5, 5.6), sharey=True, layout="constrained"
-        )
-        for family, curve in curves.items():
-            kind, _, texture = family.partition("-")
-            texture, _, order = texture.partition("-")
-            if texture not in _TEXTURES:
-                continue
-            if order != "par":
-                _draw_curve(left, curve, texture, "-")
-                _draw_paper(left, family, texture)
-            if kind == "S" or (order and f"C-{texture}-par" in curves):
-                _draw_curve(right, curve, texture, "--" if order == "par" else "-")
-            if order == "par":
-                # The others' are in the left panel.
-                _draw_paper(right, family, texture)
-        for axes, title in (
-            (left, "Shape alone, and on a finished texture (seq.)"),
-            (right, "In sequence or parallel"),
-        ):
-            axes.set_title(title, loc="left", fontsize=12, fontweight="bold")
-            axes.set_xlabel("practicality Pr = 1 − PM (left: large changes of shape)")
-            axes.set_xlim(-0.03, 1.03)
-            axes.axhline(0, color=GREY, linewidth=0.8)
-            axes.grid(color="#e3e7eb")
-            axes.set_axisbelow(True)
-        left.set_ylabel("EASR, % of the vehicles found before")
-        left.set_ylim(top=103)
-        figure.legend(handles=_legend(curves), loc="outside lower center", ncols=6, fontsize=10)
-        return as_files(figure)
+    """Draws S-O and combinations with the six textures without mask."""
+    figure, grid = panels(1, 2, 12.5, 5.6, sharey=True)
+    left, right = grid[0]
+    for family, curve in curves.items():
+        kind, _, texture = family.partition("-")
+        texture, _, order = texture.partition("-")
+        if texture not in _TEXTURES:
+            continue
+        parallel = order == "par"
+        if not parallel:
+            _draw_curve(left, curve, texture, "-")
+        # In the right panel, what has both orders.
+        if kind == "S" or (order and f"C-{texture}-par" in curves):
+            _draw_curve(right, curve, texture, "--" if parallel else "-")
+        _draw_paper(right if parallel else left, family, texture)
+    left.set_title("Shape alone, and on a finished texture (seq.)")
+    right.set_title("In sequence or parallel")
+    for axes in (left, right):
+        axes.set_xlabel("practicality Pr = 1 − PM (left: large changes of shape)")
+        axes.set_xlim(-0.03, 1.03)
+        axes.axhline(0, color=GREY, linewidth=0.8)
+        rule(axes)
+    left.set_ylabel("EASR, % of the vehicles found before")
+    left.set_ylim(top=103)
+    figure.legend(handles=_legend(curves), loc="outside lower center", ncols=6, fontsize=10)
+    return as_files(figure)
 
 
 def _draw_curve(axes: Any, curve: PracticalityCurve, texture: str, line: str) -> None:
     colour, marker, _ = _TEXTURES[texture]
     points = [point for point in curve.points if not math.isnan(point.easr.estimate)]
     places = [point.practicality for point in points]
-    axes.plot(
-        places,
-        [100 * point.easr.estimate for point in points],
-        line + marker,
-        color=colour,
-        linewidth=1.8,
-        markersize=4.5,
-        zorder=3,
-    )
+    easr = [100 * point.easr.estimate for point in points]
+    drawn = {"color": colour, "linewidth": 1.8, "markersize": 4.5, "zorder": 3}
+    axes.plot(places, easr, line + marker, **drawn)
     if line == "-":
-        band = [
-            [100 * point.easr.low for point in points],
-            [100 * point.easr.high for point in points],
-        ]
-        axes.fill_between(places, *band, color=colour, alpha=0.1, linewidth=0, zorder=1)
-    best = next(point for point in curve.points if point.perturbation_magnitude == curve.best)
-    axes.plot(
-        best.practicality,
-        100 * best.easr.estimate,
-        marker,
-        color=colour,
-        markersize=11,
-        zorder=5,
-        markeredgecolor="white",
-    )
+        low = [100 * point.easr.low for point in points]
+        high = [100 * point.easr.high for point in points]
+        axes.fill_between(places, low, high, color=colour, alpha=0.1, linewidth=0, zorder=1)
+    best = curve.best
+    large = {"markersize": 11, "zorder": 5, "markeredgecolor": "white"}
+    axes.plot(best.practicality, 100 * best.easr.estimate, marker, color=colour, **large)
 
 
 def _draw_paper(axes: Any, family: str, texture: str) -> None:
@@ -280,18 +221,9 @@ def _draw_paper(axes: Any, family: str, texture: str) -> None:
     paper = PAPER_RESULTS.get(family)
     if paper is None or paper.perturbation_magnitude is None:
         return
-    # Fc and PixFc have nearly the same numbers.
-    aside = {"Fc": -0.012, "PixFc": 0.012}.get(texture, 0.0)
-    axes.plot(
-        1 - paper.perturbation_magnitude + aside,
-        paper.easr,
-        marker,
-        markerfacecolor="white",
-        markeredgecolor=colour,
-        markeredgewidth=1.6,
-        markersize=10,
-        zorder=6,
-    )
+    place = 1 - paper.perturbation_magnitude + _ASIDE.get(texture, 0.0)
+    hollow = {"markerfacecolor": "white", "markeredgecolor": colour, "markeredgewidth": 1.6}
+    axes.plot(place, paper.easr, marker, markersize=10, zorder=6, **hollow)
 
 
 def _legend(curves: Mapping[str, PracticalityCurve]) -> list[Line2D]:
@@ -301,18 +233,10 @@ def _legend(curves: Mapping[str, PracticalityCurve]) -> list[Line2D]:
         for texture, (colour, marker, label) in _TEXTURES.items()
         if texture in shown
     ]
-    plain: dict[str, Any] = {"color": GREY, "marker": "o"}
+    large: dict[str, Any] = {"color": GREY, "marker": "o", "linestyle": "", "markersize": 10}
     return [
         *handles,
         Line2D([], [], color=GREY, linestyle="--", label="in parallel (no band drawn)"),
-        Line2D([], [], **plain, linestyle="", markersize=10, label="our PM* (largest P1)"),
-        Line2D(
-            [],
-            [],
-            **plain,
-            linestyle="",
-            markersize=10,
-            markerfacecolor="white",
-            label="the paper's, at its PM*",
-        ),
+        Line2D([], [], **large, label="our PM* (largest P1)"),
+        Line2D([], [], **large, markerfacecolor="white", label="the paper's, at its PM*"),
     ]

@@ -9,7 +9,7 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.reproduction.agreement import (
     correlated,
     correlation_grid,
-    renderer_agreement,
+    successes,
     with_paper,
 )
 from skyproof.reproduction.cells import (
@@ -145,11 +145,13 @@ def _agreements(run: Reproduction) -> list[dict[str, Any]]:
         "all attacks, at every magnitude": attacks,
         "all, with random controls": _names(run),
     }
-
-    rows = with_paper(run, "Cycles and the paper’s Blender", ON_BLENDER, run.best, CYCLES)
+    rows = with_paper(run.results, "Cycles and the paper’s Blender", ON_BLENDER, run.best, CYCLES)
+    ours, theirs = (
+        successes(run.results, _names(run), renderer, paired=True)
+        for renderer in (RENDERER, CYCLES)
+    )
     for label, names in sets.items():
-        found = renderer_agreement(run.results.counts, names)
-        rows += correlated("Cycles and our renderer", label, found)
+        rows += correlated("Cycles and our renderer", label, names, ours, theirs)
     return rows
 
 

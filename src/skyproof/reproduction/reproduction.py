@@ -6,10 +6,8 @@ They stand by attack, each at its best magnitude, beside the paper's numbers.
 from collections.abc import Mapping
 from functools import cached_property
 
-import numpy as np
-
 from skyproof.camouflage.name import CamouflageName
-from skyproof.reproduction.curves import PracticalityCurve, curve_families, practicality_curve
+from skyproof.reproduction.curves import PracticalityCurve, practicality_curves
 from skyproof.reproduction.layout import PaperLayout
 from skyproof.reproduction.paper_results import PAPER_RESULTS
 from skyproof.reproduction.stored_features import Features, read_features
@@ -61,17 +59,15 @@ class Reproduction:
     @cached_property
     def curves(self) -> dict[str, PracticalityCurve]:
         """Per attack with a shape ("S-O", "C-Fc-seq") its EASR against practicality."""
-        tiles = self.results.counts
-        return {
-            family: practicality_curve(tiles, family, generator=np.random.default_rng(0))
-            # S-O first, as in the paper.
-            for family in sorted(curve_families(tiles), key=lambda family: family != "S-O")
-        }
+        return practicality_curves(self.results.counts)
 
     @cached_property
     def best(self) -> dict[str, str]:
         """Per attack with a shape, the name of what stands at its PM*."""
-        return {family: point_name(family, curve.best) for family, curve in self.curves.items()}
+        return {
+            family: point_name(family, curve.best.perturbation_magnitude)
+            for family, curve in self.curves.items()
+        }
 
     @cached_property
     def looks(self) -> Looks | None:

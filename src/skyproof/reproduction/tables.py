@@ -177,7 +177,7 @@ def _texture_rows(run: Reproduction) -> list[dict[str, Any]]:
 def _shape_rows(run: Reproduction) -> list[dict[str, Any]]:
     rows = []
     for family, curve in run.curves.items():
-        best = next(point for point in curve.points if point.perturbation_magnitude == curve.best)
+        best = curve.best
         paper = PAPER_RESULTS.get(family)
         magnitude = paper.perturbation_magnitude if paper else None
         same = next(
@@ -187,7 +187,7 @@ def _shape_rows(run: Reproduction) -> list[dict[str, Any]]:
         rows.append(
             {
                 "attack": family,
-                "pm_star": curve.best,
+                "pm_star": best.perturbation_magnitude,
                 "pm_star_share": 100 * best.share_best,
                 "pr_star": best.practicality,
                 "p1_star": best.p1,
