@@ -15,7 +15,7 @@ from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.imported import ImportedDetector
 from skyproof.detectors.loaded import build_detector
 from skyproof.detectors.region_align import area_levels
-from skyproof.reproduction.box_features import anchor_levels, box_features, pool_boxes
+from skyproof.reproduction.gather_features import anchor_levels, box_features, pool_boxes
 
 # One box of 36x16 px in the first image, none in the second, two in the third.
 BOXES = [

@@ -1,11 +1,12 @@
 """Where camouflaged vehicles lie among features, with classes whose places are known."""
 
 import csv
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from skyproof.reproduction.feature_space import embed
+from skyproof.reproduction.features import embed
 from skyproof.reproduction.report import write_reproduction_report
 from skyproof.reproduction.stored_features import Features, write_features
 from tests.reproduction.fabricate import write_scores
@@ -15,86 +16,80 @@ CHANNELS = 16
 ALONG = {"ground": 1.0, "original": 0.0, "T-U-0": 0.75, "R-U-0": 0.1, "R-U_plain": 0.0}
 
 
-def classes(rng, along, *, per_tile=4, noise=0.5, spread=0.0):
+def classes(rng, along, *, per_tile=4, noise=0.5, spread=0.0, detector="retinanet"):
     """Boxes around places on a line through all channels; each tile moves all its boxes alike."""
     shift = spread * rng.normal(size=(TILES, CHANNELS))
-    vectors = {
-        name: 4 * place
-        + np.repeat(shift, per_tile, axis=0)
-        + noise * rng.normal(size=(TILES * per_tile, CHANNELS))
-        for name, place in along.items()
-    }
-    tiles = {
-        name: [f"tile-{row // per_tile}" for row in range(len(vectors[name]))] for name in along
-    }
-    return vectors, tiles
+    count = TILES * per_tile
+    scenes = [f"s{row}" for row in range(count)]
+    tiles = [f"tile-{row // per_tile}" for row in range(count)]
+    found = {}
+    for name, place in along.items():
+        vectors = np.repeat(shift, per_tile, axis=0) + noise * rng.normal(size=(count, CHANNELS))
+        found[name] = Features(detector, name, scenes, tiles, [0] * count, 4 * place + vectors)
+    return found
+
+
+def embedded(stored):
+    """Rows by class, and the points."""
+    numbers, points = embed(stored)
+    return {row["shown"]: row for row in numbers}, points
 
 
 def test_places_between_vehicles_and_ground(rng):
-    found = embed(*classes(rng, ALONG, noise=0.3))
-    ground, original, learnt, _, plain = found.shown
-    assert found.classes == list(ALONG)
-    assert ground.along is None
-    assert original.aside is None
-    assert learnt.along.estimate == pytest.approx(0.75, abs=0.03)
-    assert learnt.along.low < 0.75 < learnt.along.high
-    assert learnt.aside < 0.1
-    assert learnt.nearer_ground.estimate == ground.nearer_ground.estimate == 1
-    assert plain.nearer_ground.estimate == original.nearer_ground.estimate == 0
+    found, points = embedded(classes(rng, ALONG, noise=0.3))
+    assert list(found) == [*ALONG, "all"]
+    ground, original, learnt, _, plain, together = found.values()
+    assert "along" not in ground
+    assert original["aside"] is None
+    assert learnt["along"] == pytest.approx(0.75, abs=0.03)
+    assert learnt["along_low"] < 0.75 < learnt["along_high"]
+    assert learnt["aside"] < 0.1
+    assert learnt["nearer_ground"] == ground["nearer_ground"] == 100
+    assert plain["nearer_ground"] == original["nearer_ground"] == 0
     # Far from all others: by itself. The plain paint is told from the original by chance alone.
-    assert learnt.silhouette > 0.4
-    assert learnt.nearest_own.estimate == 1
-    assert plain.silhouette < 0.1
-    assert plain.nearest_own.estimate < 0.8
-    assert 0.95 < found.pca_share <= 1
-    assert found.pca.shape == found.tsne.shape == (5 * TILES * 4, 2)
-    assert found.nearest_own == np.mean([each.nearest_own.estimate for each in found.shown])
+    assert learnt["silhouette"] > 0.4
+    assert learnt["nearest_own"] == 100
+    assert plain["silhouette"] < 0.1
+    assert plain["nearest_own"] < 80
+    assert 95 < together["pca_share"] <= 100
+    assert len(points) == 5 * TILES * 4
+    assert together["nearest_own"] == np.mean([found[name]["nearest_own"] for name in ALONG])
 
 
 def test_off_the_way_is_told(rng):
-    vectors, tiles = classes(rng, {"ground": 1.0, "original": 0.0, "T-U": 0.5}, noise=0.1)
+    stored = classes(rng, {"ground": 1.0, "original": 0.0, "T-U": 0.5}, noise=0.1)
     # Half along the way, and as far off it as the way is long.
     off = np.tile([1.0, -1.0], CHANNELS // 2)
-    found = embed({**vectors, "T-U": vectors["T-U"] + 4 * off}, tiles)
-    along = found.shown[2].along.estimate
-    assert along == pytest.approx(0.5, abs=0.05)
-    assert found.shown[2].aside > 0.5
+    moved = replace(stored["T-U"], vectors=stored["T-U"].vectors + 4 * off)
+    found, _ = embedded({**stored, "T-U": moved})
+    assert found["T-U"]["along"] == pytest.approx(0.5, abs=0.05)
+    assert found["T-U"]["aside"] > 0.5
 
 
 def test_tiles_are_held_out_whole(rng):
     # Every class stands where it happens to stand on each tile: nothing is to be learnt from other
     # tiles, and all of it from neighbours on the same one.
-    vectors, tiles = {}, {}
+    stored = {}
     for name in ("ground", "original", "T-U"):
-        made, places = classes(rng, {name: 0.0}, noise=0.01, spread=1.0)
-        vectors |= made
-        tiles |= places
-    found = embed(vectors, tiles)
-    assert found.nearest_own < 0.5
+        stored |= classes(rng, {name: 0.0}, noise=0.01, spread=1.0)
+    found, _ = embedded(stored)
+    assert found["all"]["nearest_own"] < 50
 
 
 def test_no_class_is_known_apart_where_all_are_alike(rng):
-    found = embed(*classes(rng, dict.fromkeys(ALONG, 0.0)))
-    assert found.nearest_own == pytest.approx(0.2, abs=0.1)
-    assert abs(found.silhouette) < 0.05
+    found, _ = embedded(classes(rng, dict.fromkeys(ALONG, 0.0)))
+    assert found["all"]["nearest_own"] == pytest.approx(20, abs=10)
+    assert abs(found["all"]["silhouette"]) < 0.05
 
 
 def test_the_same_points_again(rng):
     made = classes(rng, {"ground": 1.0, "original": 0.0}, per_tile=2)
-    first = embed(*made)
-    second = embed(*made)
-    assert np.array_equal(first.tsne, second.tsne)
-    assert np.array_equal(first.pca, second.pca)
+    assert embed(made) == embed(made)
 
 
 def write(folder, rng, *, detector="retinanet", names=tuple(ALONG)):
-    vectors, tiles = classes(rng, {name: ALONG[name] for name in names})
-    every = []
-    for name in names:
-        count = len(vectors[name])
-        scenes = [f"s{row}" for row in range(count)]
-        every.append(Features(detector, name, scenes, tiles[name], [0] * count, vectors[name]))
-    write_features(folder / "features.parquet", every)
+    stored = classes(rng, {name: ALONG[name] for name in names}, detector=detector)
+    write_features(folder / "features.parquet", stored.values())
 
 
 @pytest.fixture

@@ -5,15 +5,16 @@ RetinaNet alone; random and plainly painted vehicles beside the learnt camouflag
 are measured on all features, since a picture of two dimensions can show whatever one likes.
 """
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib import pyplot as plt
+from jaxtyping import Bool, Float, Int
 from matplotlib.lines import Line2D
 
 from skyproof.camouflage.name import CamouflageName
-from skyproof.report.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, STYLE, as_files
+from skyproof.report.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, as_files
 from skyproof.reproduction.cells import (
     Block,
     Figure,
@@ -27,14 +28,21 @@ from skyproof.reproduction.cells import (
     rate,
     value,
 )
-from skyproof.reproduction.feature_space import Embedding, embed
+from skyproof.reproduction.drawing import figure_style, panels
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.reproduction.stored_features import GROUND, Features
 from skyproof.results.pairs.outcomes import ORIGINAL
+from skyproof.results.statistics.intervals import Interval, cluster_interval, resample
 from skyproof.words import detector_name
 
 EVERY = "all"
 """Stands for all that is shown together in the table's last row of a detector."""
+
+_FOLDS = 5
+_SEED = 0
+_PERPLEXITY = 30.0
+# t-SNE's neighbours hardly change beyond, and it is several times as fast (its authors' advice).
+_COMPONENTS = 50
 
 # Of ground and of each kind of vehicle; below there is nothing to see.
 _FEWEST = 10
@@ -54,12 +62,10 @@ def features_part(run: Reproduction) -> Topic:
             stored = _classes(every, name, detector)
             if not stored:
                 continue
-            embedding = embed(
-                {shown: each.vectors for shown, each in stored.items()},
-                {shown: each.backgrounds for shown, each in stored.items()},
-            )
-            numbers += _number_rows(str(name), detector, embedding)
-            points += _point_rows(str(name), detector, embedding, stored)
+            place = {"camouflage": str(name), "detector": detector}
+            found, plane = embed(stored)
+            numbers += [place | row for row in found]
+            points += [place | row for row in plane]
     if not numbers:
         return Topic()
     tables = [Table("embeddings", numbers), Table("embedding_points", points)]
@@ -101,60 +107,122 @@ def _pooled(shown: str) -> str:
     return shown if shown in (GROUND, ORIGINAL) else str(CamouflageName.read(shown).pooled)
 
 
-def _number_rows(name: str, detector: str, embedding: Embedding) -> list[dict[str, Any]]:
-    rows = [
-        {
-            "camouflage": name,
-            "detector": detector,
+def embed(classes: Mapping[str, Features]) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Measures and draws the features of several classes, ground and original vehicles first.
+
+    Every feature is scaled to variance 1. Class means are those of other tiles: boxes are held out
+    tile by tile in five parts, so that neighbours on one tile, and one vehicle with two
+    camouflages, are never on both sides.
+
+    Returns:
+        A row of numbers for each class and one for all, and a row for each box with its places in
+        the planes of PCA and t-SNE.
+    """
+    from sklearn.decomposition import PCA
+    from sklearn.manifold import TSNE
+    from sklearn.metrics import silhouette_samples
+    from sklearn.preprocessing import StandardScaler
+
+    stored = list(classes.values())
+    class_of = np.repeat(np.arange(len(classes)), [len(own.vectors) for own in stored])
+    features = np.concatenate([own.vectors for own in stored])
+    tile_of = np.concatenate([np.asarray(own.backgrounds, dtype=object) for own in stored])
+    scaled = StandardScaler().fit_transform(features)
+
+    # Numbers, in all dimensions.
+    silhouettes = silhouette_samples(scaled, class_of)
+    nearest = _nearest_means(features, class_of, tile_of, len(classes))
+    ends = _nearest_means(features, class_of, tile_of, 2)
+    means = np.stack([scaled[class_of == number].mean(axis=0) for number in range(len(classes))])
+    way = means[0] - means[1]
+    length = float(way @ way)
+    along = (scaled - means[1]) @ way / length
+    numbers: list[dict[str, Any]] = []
+    for index, shown in enumerate(classes):
+        own = class_of == index
+        tiles = tile_of[own]
+        row: dict[str, Any] = {
             "shown": shown,
-            "boxes": each.boxes,
-            "silhouette": each.silhouette,
-            **interval_cells("nearest_own", each.nearest_own, 100.0),
-            **interval_cells("nearer_ground", each.nearer_ground, 100.0),
-            **({} if each.along is None else interval_cells("along", each.along)),
-            "aside": each.aside,
+            "boxes": int(own.sum()),
+            "silhouette": float(silhouettes[own].mean()),
         }
-        for shown, each in zip(embedding.classes, embedding.shown, strict=True)
-    ]
+        row |= interval_cells("nearest_own", _share_by_tile(nearest[own] == index, tiles), 100.0)
+        row |= interval_cells("nearer_ground", _share_by_tile(ends[own] == 0, tiles), 100.0)
+        row["aside"] = None
+        # The two ends of the way are where they are by definition.
+        if index > 1:
+            off = means[index] - means[1] - along[own].mean() * way
+            row["aside"] = float(np.linalg.norm(off)) / length**0.5
+            row |= interval_cells("along", _mean_by_tile(along[own], tiles))
+        numbers.append(row)
+
+    # Pictures, in two.
+    components = PCA(min(_COMPONENTS, *scaled.shape), random_state=_SEED).fit(scaled)
+    reduced = components.transform(scaled)
+    perplexity = min(_PERPLEXITY, (len(scaled) - 1) / 3)
+    tsne = TSNE(init="pca", perplexity=perplexity, random_state=_SEED).fit_transform(reduced)
     together = {
-        "camouflage": name,
-        "detector": detector,
         "shown": EVERY,
-        "boxes": len(embedding.class_of),
-        "silhouette": embedding.silhouette,
-        "nearest_own": 100 * embedding.nearest_own,
-        "pca_share": 100 * embedding.pca_share,
+        "boxes": len(features),
+        "silhouette": float(np.mean([row["silhouette"] for row in numbers])),
+        "nearest_own": float(np.mean([row["nearest_own"] for row in numbers])),
+        "pca_share": 100 * float(components.explained_variance_ratio_[:2].sum()),
     }
-    return [*rows, together]
+    boxes = [
+        {"shown": shown, "scene": scene, "background": tile, "placement": placement}
+        for shown, own in classes.items()
+        for scene, tile, placement in zip(own.scenes, own.backgrounds, own.placements, strict=True)
+    ]
+    names = ("pca_1", "pca_2", "tsne_1", "tsne_2")
+    planes = np.hstack([reduced[:, :2], tsne.astype(np.float64)]).tolist()
+    points = [
+        box | dict(zip(names, place, strict=True)) for box, place in zip(boxes, planes, strict=True)
+    ]
+    return [*numbers, together], points
 
 
-def _point_rows(
-    name: str, detector: str, embedding: Embedding, stored: Mapping[str, Features]
-) -> list[dict[str, Any]]:
-    told = [
-        (scene, tile, placement)
-        for each in stored.values()
-        for scene, tile, placement in zip(
-            each.scenes, each.backgrounds, each.placements, strict=True
-        )
-    ]
-    return [
-        {
-            "camouflage": name,
-            "detector": detector,
-            "shown": embedding.classes[index],
-            "scene": scene,
-            "background": tile,
-            "placement": placement,
-            "pca_1": float(pca[0]),
-            "pca_2": float(pca[1]),
-            "tsne_1": float(tsne[0]),
-            "tsne_2": float(tsne[1]),
-        }
-        for index, pca, tsne, (scene, tile, placement) in zip(
-            embedding.class_of, embedding.pca, embedding.tsne, told, strict=True
-        )
-    ]
+def _nearest_means(
+    features: Float[np.ndarray, "N C"],
+    class_of: Int[np.ndarray, " N"],
+    tile_of: np.ndarray,
+    among: int,
+) -> Int[np.ndarray, " N"]:
+    """Gives each box the nearest of the first so many class means, all of other tiles."""
+    from sklearn.model_selection import GroupKFold
+    from sklearn.neighbors import NearestCentroid
+    from sklearn.pipeline import make_pipeline
+    from sklearn.preprocessing import StandardScaler
+
+    nearest = np.full(len(features), -1)
+    folds = GroupKFold(min(_FOLDS, len(set(tile_of))))
+    for learnt, judged in folds.split(features, class_of, tile_of):
+        kept = learnt[class_of[learnt] < among]
+        model = make_pipeline(StandardScaler(), NearestCentroid())
+        nearest[judged] = model.fit(features[kept], class_of[kept]).predict(features[judged])
+    return nearest
+
+
+def _share_by_tile(hits: Bool[np.ndarray, " N"], tile_of: np.ndarray) -> Interval:
+    return _mean_by_tile(hits.astype(np.float64), tile_of, (0.0, 1.0))
+
+
+def _mean_by_tile(
+    values: Float[np.ndarray, " N"],
+    tile_of: np.ndarray,
+    limits: tuple[float, float] = (-np.inf, np.inf),
+) -> Interval:
+    """Gives a mean over boxes with its 95 % interval over tiles, class means being as they are."""
+    names, tile = np.unique(tile_of.astype(str), return_inverse=True)
+    sums = np.zeros((1, len(names), 3))
+    np.add.at(sums[0, :, 0], tile, values)
+    np.add.at(sums[0, :, 1], tile, 1.0)
+    weights = resample(len(names), generator=np.random.default_rng(_SEED))
+    return cluster_interval(sums, _mean, weights, limits=limits)
+
+
+def _mean(sums: Float[np.ndarray, "*shape 1 3"]) -> Float[np.ndarray, "*shape"]:
+    with np.errstate(invalid="ignore"):
+        return np.asarray(sums[..., 0, 0] / sums[..., 0, 1])
 
 
 def _blocks(
@@ -232,64 +300,44 @@ def shown_name(shown: str) -> str:
     return f"random ({shown})" if name.random else shown
 
 
+@figure_style("embeddings")
 def _figure(
     points: Sequence[Mapping[str, Any]], numbers: Sequence[Mapping[str, Any]]
 ) -> dict[str, bytes]:
-    """Draws one line of two pictures per camouflage and detector; SVG or PNG by file ending."""
-    shares = {
-        (row["camouflage"], row["detector"]): row["pca_share"]
-        for row in numbers
-        if row["shown"] == EVERY
-    }
-    lines: dict[tuple[str, str], list[Any]] = {}
+    """Draws one line of two pictures per camouflage and detector."""
+    shares = [row["pca_share"] for row in numbers if row["shown"] == EVERY]
+    lines = defaultdict(list)
     for row in points:
-        lines.setdefault((row["camouflage"], row["detector"]), []).append(row)
+        lines[row["camouflage"], row["detector"]].append(row)
     several = len({camouflage for camouflage, _ in lines}) > 1
-    with plt.rc_context(STYLE | {"svg.hashsalt": "embeddings"}):
-        figure, grid = plt.subplots(
-            len(lines), 2, figsize=(10.5, 0.7 + 4.3 * len(lines)), layout="constrained",
-            squeeze=False,
-        )  # fmt: skip
-        for (left, right), ((camouflage, detector), rows) in zip(grid, lines.items(), strict=True):
-            share = f"PCA ({shares[camouflage, detector]:.0f} % of the variance)"
-            for axes, name, title in ((left, "pca", share), (right, "tsne", "t-SNE")):
-                _scatter(axes, rows, name)
-                told = f"{detector_name(detector)}, {title}"
-                axes.set_title(
-                    f"{camouflage}: {told}" if several else told,
-                    loc="left",
-                    fontsize=12,
-                    fontweight="bold",
-                )
-        shown = dict.fromkeys(row["shown"] for row in points)
-        figure.legend(
-            handles=[_handle(each) for each in shown],
-            loc="outside lower center",
-            ncols=3,
-            fontsize=11,
-        )
-        return as_files(figure)
+    figure, grid = panels(len(lines), 2, 10.5, 0.7 + 4.3 * len(lines))
+    for pair, share, (place, rows) in zip(grid, shares, lines.items(), strict=True):
+        camouflage, detector = place
+        titles = {"pca": f"PCA ({share:.0f} % of the variance)", "tsne": "t-SNE"}
+        for axes, (name, title) in zip(pair, titles.items(), strict=True):
+            _scatter(axes, rows, name)
+            told = f"{detector_name(detector)}, {title}"
+            axes.set_title(f"{camouflage}: {told}" if several else told)
+    handles = []
+    for shown in dict.fromkeys(row["shown"] for row in points):
+        colour, marker = _marker(shown)
+        drawn: dict[str, Any] = {"marker": marker, "linestyle": "", "markersize": 7}
+        handles.append(Line2D([], [], color=colour, label=shown_name(shown), **drawn))
+    figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=11)
+    return as_files(figure)
 
 
 def _scatter(axes: Any, rows: Sequence[Any], name: str) -> None:
     """Draws all points in a fixed random order, so that no class lies on top of the others."""
     order = np.random.default_rng(0).permutation(len(rows))
     places = np.array([[row[f"{name}_1"], row[f"{name}_2"]] for row in rows])
+    edge = {"markeredgecolor": "white", "markeredgewidth": 0.3}
     for start in range(0, len(order), 40):
         part = order[start : start + 40]
         for shown in dict.fromkeys(rows[index]["shown"] for index in part):
-            own = [index for index in part if rows[index]["shown"] == shown]
+            own = places[[index for index in part if rows[index]["shown"] == shown]]
             colour, marker = _marker(shown)
-            axes.plot(
-                places[own, 0],
-                places[own, 1],
-                marker,
-                color=colour,
-                markersize=4.5,
-                alpha=0.75,
-                markeredgecolor="white",
-                markeredgewidth=0.3,
-            )
+            axes.plot(*own.T, marker, color=colour, markersize=4.5, alpha=0.75, **edge)
     axes.set_xlabel("first component" if name == "pca" else "")
     axes.set_ylabel("second component" if name == "pca" else "")
     # Neither plane has a unit that could be read off.
@@ -305,9 +353,3 @@ def _marker(shown: str) -> tuple[str, str]:
     if name.choice == "plain":
         return GREEN, "v"
     return (PURPLE, "D") if name.random else (ORANGE, "^")
-
-
-def _handle(shown: str) -> Line2D:
-    colour, marker = _marker(shown)
-    label = shown_name(shown)
-    return Line2D([], [], color=colour, marker=marker, linestyle="", markersize=7, label=label)

@@ -1,13 +1,15 @@
-"""Detectors' features at the vehicles of rendered images, and at ground beside them."""
+"""Detectors' features at the vehicles of rendered images, and at ground beside them.
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+A box has one vector of the detector's feature pyramid, before any head reads it.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 from torchvision import ops
 
@@ -15,15 +17,17 @@ from skyproof.camouflage.folder import load_camouflage
 from skyproof.console import progress_bar, say
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.detector import Detector, TrainableDetector
+from skyproof.detectors.imported import ImportedDetector
 from skyproof.detectors.inference import LARGEST_WHOLE_PX, to_detector
 from skyproof.detectors.loaded import load_ensemble
+from skyproof.detectors.region_align import area_levels
+from skyproof.detectors.torchvision_detectors import RetinaNetDetector, TorchvisionDetector
 from skyproof.device import choose_device
 from skyproof.errors import ConfigurationError
 from skyproof.files import refuse_existing
 from skyproof.randomness import generator_of
 from skyproof.render.dataset import render_dataset
 from skyproof.render.renderer import TorchRenderer
-from skyproof.reproduction.box_features import box_features
 from skyproof.reproduction.stored_features import GROUND, Features, write_features
 from skyproof.reproduction.world import MOST_SCENES
 from skyproof.results.pairs.outcomes import ORIGINAL
@@ -34,14 +38,14 @@ _BATCH_SIZE = 16
 _TRIES = 50
 # Shadows and blur reach beyond a box: ground lies this far from every vehicle.
 _APART_M = 1.0
+# A vehicle of 36 px spans 4.5 cells of stride 8: one sample in each.
+_CELL_SAMPLES = 4
 
+Levels = Callable[[Float[Tensor, "K 4"]], Int[Tensor, " K"]]
+"""Gives the pyramid level, from 0, of each box, pixel xyxy."""
 
-@dataclass(frozen=True)
-class _Boxes:
-    """Boxes of some images, pixel xyxy, and the vehicle that each belongs to."""
-
-    boxes: Sequence[Float[Tensor, "_ 4"]]
-    placements: Sequence[Sequence[int]]
+Places = Sequence[Mapping[int, Float[Tensor, " 4"]]]
+"""Of every image its boxes, pixel xyxy, by the vehicle that each belongs to."""
 
 
 def store_features(
@@ -115,7 +119,7 @@ def gather_features(
         for shown, dataset in {ORIGINAL: original, **camouflaged}.items()
     ]
     return [
-        _features(detector.name, detector, shown, dataset, places)
+        _features(detector, shown, dataset, places)
         for detector in detectors
         if isinstance(detector, TrainableDetector)
         for shown, dataset, places in looks
@@ -123,21 +127,21 @@ def gather_features(
 
 
 def _features(
-    name: str, detector: TrainableDetector, shown: str, dataset: Dataset, places: _Boxes
+    detector: TrainableDetector, shown: str, dataset: Dataset, places: Places
 ) -> Features:
     vectors: list[Tensor] = []
-    count = len(places.boxes)
-    for start in range(0, count, _BATCH_SIZE):
-        batch = range(start, min(start + _BATCH_SIZE, count))
-        images = to_detector(detector, torch.stack(dataset.images(batch)))
-        vectors += box_features(detector, images, places.boxes[batch.start : batch.stop])
+    boxes = [torch.stack([*own.values()]) if own else torch.zeros(0, 4) for own in places]
+    for start in range(0, len(boxes), _BATCH_SIZE):
+        own = boxes[start : start + _BATCH_SIZE]
+        images = dataset.images(range(start, start + len(own)))
+        vectors += box_features(detector, to_detector(detector, torch.stack(images)), own)
     rows = [
         (dataset.scenes[index], placement)
-        for index, own in enumerate(places.placements)
-        for placement in own
+        for index, found in enumerate(places)
+        for placement in found
     ]
     return Features(
-        detector=name,
+        detector=detector.name,
         shown=shown,
         scenes=[scene.id for scene, _ in rows],
         backgrounds=[scene.background.tile for scene, _ in rows],
@@ -146,37 +150,33 @@ def _features(
     )
 
 
-def _vehicles(dataset: Dataset, count: int) -> _Boxes:
+def _vehicles(dataset: Dataset, count: int) -> Places:
     """The boxes of the vehicles in sight; the others' have no area."""
-    placements = [
-        torch.nonzero(_areas(boxes) > 0).flatten().tolist() for boxes in dataset.boxes[:count]
+    return [
+        {index: box for index, box in enumerate(boxes) if bool((box[2:] > box[:2]).all())}
+        for boxes in dataset.boxes[:count]
     ]
-    boxes = [own[chosen] for own, chosen in zip(dataset.boxes, placements, strict=False)]
-    return _Boxes(boxes, placements)
 
 
-def _ground(dataset: Dataset, count: int, seed: int) -> _Boxes:
+def _ground(dataset: Dataset, count: int, seed: int) -> Places:
     """Boxes as large as the vehicles', clear of all of them."""
-    vehicles = _vehicles(dataset, count)
     apart_px = _APART_M / dataset.gsd_m
-    places: list[Tensor] = []
-    placements: list[list[int]] = []
-    for index, (boxes, numbers) in enumerate(zip(vehicles.boxes, vehicles.placements, strict=True)):
+    places = []
+    for index, vehicles in enumerate(_vehicles(dataset, count)):
         # Each image has a generator of its own: more images do not move the boxes of others.
         generator = generator_of(seed, "ground boxes", dataset.ids[index])
-        taken = boxes + boxes.new_tensor([-apart_px, -apart_px, apart_px, apart_px])
-        free = {
-            number: place
-            for number, box in zip(numbers, boxes, strict=True)
-            if (place := _free_place(box, taken, dataset.sizes_px[index], generator)) is not None
+        grown = torch.tensor([-apart_px, -apart_px, apart_px, apart_px])
+        taken = [box + grown for box in vehicles.values()]
+        size_px = dataset.sizes_px[index]
+        tried = {
+            number: _free_place(box, taken, size_px, generator) for number, box in vehicles.items()
         }
-        places.append(torch.stack(list(free.values())) if free else boxes[:0])
-        placements.append(list(free))
-    return _Boxes(places, placements)
+        places.append({number: place for number, place in tried.items() if place is not None})
+    return places
 
 
 def _free_place(
-    box: Tensor, taken: Tensor, size_px: tuple[int, int], generator: torch.Generator
+    box: Tensor, taken: Sequence[Tensor], size_px: tuple[int, int], generator: torch.Generator
 ) -> Tensor | None:
     """A box of the same size at a random free place of an image; None if none was met."""
     sides = box[2:] - box[:2]
@@ -184,10 +184,74 @@ def _free_place(
     for _ in range(_TRIES):
         corner = torch.rand(2, generator=generator) * room
         moved = torch.cat([corner, corner + sides])
-        if not (ops.box_iou(moved[None], taken) > 0).any():
+        if not (ops.box_iou(moved[None], torch.stack([*taken])) > 0).any():
             return moved
     return None
 
 
-def _areas(boxes: Tensor) -> Tensor:
-    return (boxes[:, 2:] - boxes[:, :2]).clamp(min=0).prod(dim=1)
+@torch.no_grad()
+def box_features(
+    detector: TrainableDetector,
+    images: Float[Tensor, "B 3 H W"],
+    boxes: Sequence[Float[Tensor, "_ 4"]],
+) -> list[Float[Tensor, "_ C"]]:
+    """Gives one vector per box, the mean over the box, at the pyramid level of the box.
+
+    Images are sRGB in [0, 1], boxes pixel xyxy. In a YOLO the size of a vehicle alone does not
+    decide its level, and levels differ in channels, so the finest level counts.
+    """
+    if isinstance(detector, ImportedDetector):
+        height, width = detector.size_px(images)
+        ratio = images.new_tensor([width / images.shape[-1], height / images.shape[-2]]).repeat(2)
+        boxes = [own.to(images) * ratio for own in boxes]
+    levels, width_px = detector.pyramid(images)
+    network = detector.network if isinstance(detector, ImportedDetector) else detector
+    if isinstance(network, RetinaNetDetector):
+        anchors = network.model.anchor_generator.cell_anchors
+        return pool_boxes(levels, width_px, boxes, anchor_levels(anchors))
+    if isinstance(network, TorchvisionDetector):
+        strides_px = [width_px / level.shape[-1] for level in levels]
+        return pool_boxes(levels, width_px, boxes, lambda own: area_levels(own, strides_px))
+    return pool_boxes(levels[:1], width_px, boxes, lambda own: own[:, 0].long() * 0)
+
+
+def pool_boxes(
+    pyramid: Sequence[Float[Tensor, "B C _ _"]],
+    width_px: int,
+    boxes: Sequence[Float[Tensor, "_ 4"]],
+    level_of: Levels,
+) -> list[Float[Tensor, "_ C"]]:
+    """Averages the level that `level_of` chooses over each box (pixel xyxy), by RoIAlign.
+
+    The finest level of the pyramid comes first; `width_px` is that of its padded input images.
+    """
+    places = torch.cat(
+        [
+            torch.cat([own.new_full((len(own), 1), index), own], dim=1)
+            for index, own in enumerate(boxes)
+        ]
+    ).to(pyramid[0])
+    levels = level_of(places[:, 1:])
+    pooled = pyramid[0].new_zeros(len(places), pyramid[0].shape[1])
+    for number, features in enumerate(pyramid):
+        chosen = levels == number
+        if chosen.any():
+            scale = features.shape[-1] / width_px
+            means = ops.roi_align(features, places[chosen], 1, scale, _CELL_SAMPLES, aligned=True)
+            pooled[chosen] = means.flatten(1)
+    return list(pooled.split([len(own) for own in boxes]))
+
+
+def anchor_levels(anchors: Sequence[Float[Tensor, "_ 4"]]) -> Levels:
+    """Chooses the level whose anchor is most like a box, as RetinaNet's matcher does.
+
+    The anchors are those of each level, pixel xyxy around a common centre.
+    """
+
+    def level_of(boxes: Tensor) -> Tensor:
+        halves = (boxes[:, 2:] - boxes[:, :2]) / 2
+        centred = torch.cat([-halves, halves], dim=1)
+        overlaps = [ops.box_iou(centred, own.to(centred)).amax(dim=1) for own in anchors]
+        return torch.stack(overlaps).argmax(dim=0)
+
+    return level_of

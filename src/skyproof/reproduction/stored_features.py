@@ -3,6 +3,7 @@
 The rows are plain data and need no torch.
 """
 
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,10 +37,8 @@ class Features:
     """The features of one detector at vehicles with one camouflage, without one, or of the ground.
 
     Attributes:
-        detector: its name.
         shown: the camouflage's name, "original" or `GROUND`.
-        scenes: per row the scene's id.
-        backgrounds: per row the scene's background tile.
+        scenes, backgrounds: per row the scene's id and its background tile.
         placements: per row the vehicle's index in `Scene.placements`; of ground, that of the
             vehicle as large as the box.
         vectors: per row the features.
@@ -56,18 +55,9 @@ class Features:
 def write_features(path: Path, every: Iterable[Features]) -> None:
     """Writes one row per box as one Parquet table, whole or not at all."""
     rows = [
-        {
-            "detector": each.detector,
-            "shown": each.shown,
-            "scene": scene,
-            "background": background,
-            "placement": placement,
-            "features": vector,
-        }
+        dict(zip(_SCHEMA.names, (each.detector, each.shown, *row), strict=True))
         for each in every
-        for scene, background, placement, vector in zip(
-            each.scenes, each.backgrounds, each.placements, each.vectors, strict=True
-        )
+        for row in zip(each.scenes, each.backgrounds, each.placements, each.vectors, strict=True)
     ]
     with write_beside(path) as temporary:
         pq.write_table(pa.Table.from_pylist(rows, schema=_SCHEMA), temporary)
@@ -81,33 +71,23 @@ def read_features(path: Path) -> list[Features]:
             be, or vectors of different lengths of one detector.
     """
     table = read_table(path, _SCHEMA, _HINTS)
-    if not len(table):
-        return []
-    columns = {name: table[name].to_pylist() for name in (*_NAMES, "placement")}
-    vectors = table["features"].combine_chunks()
-    numbers = vectors.flatten().to_numpy(zero_copy_only=False)
-    if vectors.flatten().null_count or not np.isfinite(numbers).all():
-        raise StoredFileError(f"{path} holds features that are no finite numbers; {REMEDY}.")
-    ends = vectors.offsets.to_numpy() - vectors.offsets[0].as_py()
-    rows: dict[tuple[str, str], list[int]] = {}
-    for row, key in enumerate(zip(columns["detector"], columns["shown"], strict=True)):
-        rows.setdefault(key, []).append(row)
-    lengths: dict[str, set[int]] = {}
-    for row, detector in enumerate(columns["detector"]):
-        lengths.setdefault(detector, set()).add(int(ends[row + 1] - ends[row]))
-    uneven = next((name for name, found in lengths.items() if len(found) > 1 or 0 in found), None)
-    if uneven is not None:
-        raise StoredFileError(
-            f"{path} holds vectors of different lengths of {uneven}, or empty ones; {REMEDY}."
+    rows = defaultdict(list)
+    lengths = defaultdict(set)
+    texts = [table[name].to_pylist() for name in (*_NAMES, "placement")]
+    for detector, shown, *place, vector in zip(*texts, table["features"].to_numpy(), strict=True):
+        if not np.isfinite(vector).all():
+            raise StoredFileError(f"{path} holds features that are no finite numbers; {REMEDY}.")
+        rows[detector, shown].append((*place, vector.astype(np.float64)))
+        lengths[detector].add(len(vector))
+    for detector, found in lengths.items():
+        if len(found) > 1 or 0 in found:
+            raise StoredFileError(
+                f"{path} holds vectors of different lengths of {detector}, or empty ones; {REMEDY}."
+            )
+    features = []
+    for (detector, shown), own in rows.items():
+        scenes, backgrounds, placements, vectors = map(list, zip(*own, strict=True))
+        features.append(
+            Features(detector, shown, scenes, backgrounds, placements, np.stack(vectors))
         )
-    return [
-        Features(
-            detector,
-            shown,
-            [columns["scene"][row] for row in chosen],
-            [columns["background"][row] for row in chosen],
-            [columns["placement"][row] for row in chosen],
-            np.stack([numbers[ends[row] : ends[row + 1]] for row in chosen]).astype(np.float64),
-        )
-        for (detector, shown), chosen in rows.items()
-    ]
+    return features
