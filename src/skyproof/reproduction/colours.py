@@ -1,6 +1,7 @@
 """Which colours textures end with, and where these lie in the RGB cube (section S7)."""
 
 import math
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from functools import partial
 from statistics import fmean
@@ -8,12 +9,11 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from matplotlib import pyplot as plt
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from skyproof.camouflage.name import CamouflageName
-from skyproof.report.figures import GREY, STYLE, as_files
+from skyproof.report.figures import GREY, as_files
 from skyproof.reproduction.cells import (
     Block,
     Cell,
@@ -26,11 +26,19 @@ from skyproof.reproduction.cells import (
     span,
     value,
 )
+from skyproof.reproduction.drawing import figure_style, panels, rule
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.reproduction.stored_looks import TextureLooks
 
 _CHANNELS = ("red", "green", "blue")
 _PLACES = ("faces", "edges", "corners")
+_COLUMNS = 6
+# Told apart by their lines, too.
+_LINES: Any = (("#c0392b", "-"), ("#1e8449", "--"), ("#1f5fa8", ":"))
+_RANDOM = "#d5dade"
+
+Textures = Mapping[CamouflageName, Sequence[TextureLooks]]
+"""What was measured of each texture, repeat by repeat or draw by draw."""
 
 
 def colours_part(run: Reproduction) -> Topic:
@@ -38,7 +46,9 @@ def colours_part(run: Reproduction) -> Topic:
     heading = Heading("Colours")
     if run.looks is None:
         return Topic(blocks=[heading, "The textures’ colours were not measured in this run."])
-    textures = _by_name(run.looks.textures)
+    textures = defaultdict(list)
+    for texture in run.looks.textures:
+        textures[CamouflageName.read(texture.name).pooled].append(texture)
     rows = [_row(name, textures) for name in _learnt(textures)]
     histograms = _histograms(textures)
     bins = [
@@ -70,9 +80,7 @@ def colours_part(run: Reproduction) -> Topic:
     return Topic([Table("colours", rows), Table("colour_histograms", bins)], blocks)
 
 
-def _histograms(
-    textures: Mapping[CamouflageName, Sequence[TextureLooks]],
-) -> dict[CamouflageName, Float[np.ndarray, "3 B"]]:
+def _histograms(textures: Textures) -> dict[CamouflageName, Float[np.ndarray, "3 B"]]:
     """Gives mean histograms over repeats of learnt textures, then over draws of their controls."""
     learnt = _learnt(textures)
     controls = [name for name in dict.fromkeys(name.control for name in learnt) if name in textures]
@@ -82,9 +90,7 @@ def _histograms(
     }
 
 
-def _row(
-    name: CamouflageName, textures: Mapping[CamouflageName, Sequence[TextureLooks]]
-) -> dict[str, Any]:
+def _row(name: CamouflageName, textures: Textures) -> dict[str, Any]:
     row: dict[str, Any] = {"attack": str(name), "textures": len(textures[name])}
     for place in _PLACES:
         shares = [100 * getattr(texture, place) for texture in textures[name]]
@@ -97,14 +103,7 @@ def _row(
     return row
 
 
-def _by_name(textures: Sequence[TextureLooks]) -> dict[CamouflageName, list[TextureLooks]]:
-    found: dict[CamouflageName, list[TextureLooks]] = {}
-    for texture in textures:
-        found.setdefault(CamouflageName.read(texture.name).pooled, []).append(texture)
-    return found
-
-
-def _learnt(textures: Mapping[CamouflageName, Any]) -> list[CamouflageName]:
+def _learnt(textures: Textures) -> list[CamouflageName]:
     """Lists what was learnt, variants below what they are variants of."""
     names = [name for name in textures if not name.random]
     bases = list(dict.fromkeys(name.base for name in names))
@@ -122,61 +121,46 @@ def _weather(rows: Sequence[Mapping[str, Any]]) -> list[Block]:
     """Sets textures that were learnt in weather beside the same learnt under a clear sky."""
     faces = {row["attack"]: row["faces"] for row in rows}
     said = [
-        f"Learnt in weather, {name.removesuffix('_weather')} has {number(share)} % at the faces, "
-        f"{number(faces[name.removesuffix('_weather')])} % without."
+        f"Learnt in weather, {name} has {number(faces[f'{name}_weather'])} % at the faces, "
+        f"{number(share)} % without."
         for name, share in faces.items()
-        if name.endswith("_weather") and name.removesuffix("_weather") in faces
+        if f"{name}_weather" in faces
     ]
     return [" ".join(said)] if said else []
 
 
-_COLUMNS = 6
-# Told apart by their lines, too.
-_LINES: Any = (("#c0392b", "-"), ("#1e8449", "--"), ("#1f5fa8", ":"))
-
-
-def _figure(
-    histograms: Mapping[CamouflageName, Float[np.ndarray, "3 B"]],
-) -> dict[str, bytes]:
-    """Draws a panel for every learnt texture; by file ending, nothing without one."""
+@figure_style("colours", font=9, title=9)
+def _figure(histograms: Mapping[CamouflageName, Float[np.ndarray, "3 B"]]) -> dict[str, bytes]:
+    """Draws a panel for every learnt texture; nothing without one."""
     learnt = [name for name in histograms if not name.random]
     if not learnt:
         return {}
     columns = min(_COLUMNS, len(learnt))
     lines = math.ceil(len(learnt) / columns)
-    with plt.rc_context(STYLE | {"svg.hashsalt": "colours", "font.size": 9}):
-        figure, grid = plt.subplots(
-            lines,
-            columns,
-            figsize=(1.2 + 1.9 * columns, 0.9 + 1.55 * lines),
-            sharex=True,
-            sharey=True,
-            squeeze=False,
-            layout="constrained",
-        )
-        edges = np.linspace(0, 256, histograms[learnt[0]].shape[1] + 1)
-        for axes, name in zip(grid.flat, learnt, strict=False):
-            control = histograms.get(name.control)
-            if control is not None:
-                axes.stairs(100 * control.mean(axis=0), edges, fill=True, color="#d5dade")
-            for (colour, line), channel in zip(_LINES, histograms[name], strict=True):
-                axes.stairs(100 * channel, edges, color=colour, linestyle=line, linewidth=1.4)
-            axes.set_title(str(name), loc="left", fontsize=9, fontweight="bold")
-            axes.set_xlim(0, 256)
-            axes.set_xticks([0, 128, 255])
-            axes.grid(axis="y", color="#e3e7eb")
-            axes.set_axisbelow(True)
-        for axes in list(grid.flat)[len(learnt) :]:
-            axes.set_visible(False)
-        # The lowest that is drawn in its column has the values below it.
-        for axes in list(grid.flat)[max(len(learnt) - columns, 0) : len(learnt)]:
-            axes.tick_params(labelbottom=True)
-        figure.supylabel("% of the painted surface", fontsize=10)
-        figure.supxlabel("value of the channel (8 bits)", fontsize=10)
-        handles: list[Any] = [
-            Line2D([], [], color=colour, linestyle=line, label=channel)
-            for (colour, line), channel in zip(_LINES, _CHANNELS, strict=True)
-        ]
-        handles.append(Patch(facecolor="#d5dade", edgecolor=GREY, label="random control"))
-        figure.legend(handles=handles, loc="outside upper right", ncols=4, fontsize=9)
-        return as_files(figure)
+    size = (1.2 + 1.9 * columns, 0.9 + 1.55 * lines)
+    figure, grid = panels(lines, columns, *size, sharex=True, sharey=True)
+    edges = np.linspace(0, 256, histograms[learnt[0]].shape[1] + 1)
+    for axes, name in zip(grid.flat, learnt, strict=False):
+        control = histograms.get(name.control)
+        if control is not None:
+            axes.stairs(100 * control.mean(axis=0), edges, fill=True, color=_RANDOM)
+        for (colour, line), channel in zip(_LINES, histograms[name], strict=True):
+            axes.stairs(100 * channel, edges, color=colour, linestyle=line, linewidth=1.4)
+        axes.set_title(str(name))
+        axes.set_xlim(0, 256)
+        axes.set_xticks([0, 128, 255])
+        rule(axes, "y")
+    for axes in grid.flat[len(learnt) :]:
+        axes.set_visible(False)
+    # The lowest that is drawn in its column has the values below it.
+    for axes in grid.flat[max(len(learnt) - columns, 0) : len(learnt)]:
+        axes.tick_params(labelbottom=True)
+    figure.supylabel("% of the painted surface", fontsize=10)
+    figure.supxlabel("value of the channel (8 bits)", fontsize=10)
+    handles: list[Any] = [
+        Line2D([], [], color=colour, linestyle=line, label=channel)
+        for (colour, line), channel in zip(_LINES, _CHANNELS, strict=True)
+    ]
+    handles.append(Patch(facecolor=_RANDOM, edgecolor=GREY, label="random control"))
+    figure.legend(handles=handles, loc="outside upper right", ncols=4, fontsize=9)
+    return as_files(figure)

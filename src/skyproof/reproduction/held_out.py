@@ -8,12 +8,11 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from matplotlib import pyplot as plt
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from skyproof.camouflage.name import CamouflageName
-from skyproof.report.figures import BLUE, GREY, INK, ORANGE, STYLE, as_files
+from skyproof.report.figures import BLUE, GREY, INK, ORANGE, as_files
 from skyproof.reproduction.cells import (
     Block,
     Figure,
@@ -28,6 +27,7 @@ from skyproof.reproduction.cells import (
     rate,
 )
 from skyproof.reproduction.cycles import rates_under
+from skyproof.reproduction.drawing import figure_style, panels, rule
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.results.baseline import Baseline
 from skyproof.results.result import MEAN
@@ -38,6 +38,10 @@ _WEAK = 80.0
 """AP in percent below which rates rest on few vehicles."""
 
 _PREFIXES = {RENDERER: "", CYCLES: "cycles_"}
+_DRAWN = {"": (BLUE, "differentiable renderer"), "cycles_": (ORANGE, "Blender Cycles")}
+_RATES = {"easr": "EASR", "net_easr": "net", "net_strongest_control_easr": "net of best control"}
+_LOWEST = -30.0
+"""Where the axis ends at the latest: intervals of rates below zero may go far."""
 
 
 def held_out_part(run: Reproduction) -> Topic:
@@ -99,41 +103,31 @@ def _rates(results: Results, name: str, detector: str) -> dict[str, Any]:
 def _baselines(run: Reproduction, table: str) -> list[dict[str, Any]]:
     """The baselines of each detector: in its validation, in its precheck, and here."""
     results = run.held_out[table]
-    records = results.prechecks
     rows = []
     for detector in results.detectors:
         facts = results.cards.get(detector)
-        told = {"table": table, "detector": detector}
-        told["trained_on"] = facts.trained_on if facts else ""
+        trained_on = facts.trained_on if facts else ""
+        told = {"table": table, "detector": detector, "trained_on": trained_on}
         if facts and "ap_centre_1m" in facts.validation:
-            rows.append(
-                {
-                    **told,
-                    "set": "its own validation",
-                    "real": None,
-                    "vehicles": facts.validation_vehicles,
-                    "ap": 100 * facts.validation["ap_centre_1m"],
-                }
-            )
-        checked = (
-            [check for check in records[detector].sets if check.real] if detector in records else []
-        )
+            own = {"set": "its own validation", "real": None, "vehicles": facts.validation_vehicles}
+            rows.append(told | own | {"ap": 100 * facts.validation["ap_centre_1m"]})
+        record = results.prechecks.get(detector)
+        real = [check for check in record.sets if check.real] if record else []
         here = [check for check in results.baselines if check.detector == detector]
-        rows += [{**told, **_check(check)} for check in (*checked, *here)]
+        rows += [told | _check(check) for check in (*real, *here)]
     return rows
 
 
 def _check(check: Baseline) -> dict[str, Any]:
-    values: dict[str, Any] = {
+    return {
         "set": check.dataset,
         "real": check.real,
         "vehicles": check.vehicles,
         "clusters": f"{check.clusters} {check.clustered_by}",
+        **interval_cells("ap", check.ap_centre_1m, 100.0),
+        **interval_cells("recall", check.recall, 100.0),
+        **interval_cells("precision", check.precision, 100.0),
     }
-    shown = {"ap": check.ap_centre_1m, "recall": check.recall, "precision": check.precision}
-    for name, interval in shown.items():
-        values |= interval_cells(name, interval, 100.0)
-    return values
 
 
 def _table(
@@ -198,65 +192,46 @@ def _doubts(baselines: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _grid(detectors: Sequence[str], hidden: Sequence[Mapping[str, Any]], prefix: str) -> TextTable:
-    known = {"easr": "EASR", "net_easr": "net", "net_strongest_control_easr": "net of best control"}
     # What no attack has, such as chosen controls on Cycles, gets no column.
     rates = {
-        key: words
-        for key, words in known.items()
+        prefix + key: words
+        for key, words in _RATES.items()
         if any(row.get(prefix + key) is not None for row in hidden)
     }
     cells = {(row["attack"], row["detector"]): row for row in hidden}
     names = dict.fromkeys(row["attack"] for row in hidden if row.get(f"{prefix}easr") is not None)
-    header = [
-        f"{detector_name(detector)}: {words}" if number == 0 else words
-        for detector in detectors
-        for number, words in enumerate(rates.values())
-    ]
+    header = ["attack"]
+    for detector in detectors:
+        first, *others = rates.values()
+        header += [f"{detector_name(detector)}: {first}", *others]
     rows = [
-        [
-            name,
-            *(
-                bracket(cells[name, detector], prefix + key)
-                for detector in detectors
-                for key in rates
-            ),
-        ]
+        [name, *(bracket(cells[name, detector], key) for detector in detectors for key in rates)]
         for name in names
     ]
-    return TextTable(["attack", *header], rows)
-
-
-_RENDERERS = {"": (BLUE, "differentiable renderer"), "cycles_": (ORANGE, "Blender Cycles")}
-_LOWEST = -30.0
-"""Where the axis ends at the latest: intervals of rates below zero may go far."""
+    return TextTable(header, rows)
 
 
 def _figure(
     table: str, detectors: Sequence[str], hidden: Sequence[Mapping[str, Any]]
 ) -> dict[str, bytes]:
-    """Draws a panel per detector of a table, bars with intervals; SVG and PNG by file ending."""
+    """Draws a panel per detector of a table, bars with intervals."""
     rows = [row for row in hidden if not row["attack"].startswith("R-")]
     cells = {(row["attack"], row["detector"]): row for row in rows}
     attacks = list(dict.fromkeys(row["attack"] for row in rows))
-    shown = [key for key in _RENDERERS if any(f"{key}easr" in row for row in rows)]
-    with plt.rc_context(STYLE | {"svg.hashsalt": f"judges-{table}"}):
-        figure, grid = plt.subplots(
-            1,
-            len(detectors),
-            figsize=(2.2 + 4.4 * len(detectors), 1.7 + (0.16 + 0.17 * len(shown)) * len(attacks)),
-            sharey=True,
-            sharex=True,
-            squeeze=False,
-            layout="constrained",
+    shown = [prefix for prefix in _DRAWN if any(f"{prefix}easr" in row for row in rows)]
+    height = 1.7 + (0.16 + 0.17 * len(shown)) * len(attacks)
+    with figure_style(f"judges-{table}"):
+        figure, grid = panels(
+            1, len(detectors), 2.2 + 4.4 * len(detectors), height, sharey=True, sharex=True
         )
         for axes, detector in zip(grid[0], detectors, strict=True):
-            for number, key in enumerate(shown):
-                _bars(axes, [cells[name, detector] for name in attacks], key, number, len(shown))
-            axes.set_title(detector_name(detector), loc="left", fontsize=12, fontweight="bold")
+            for number, prefix in enumerate(shown):
+                own = [cells[name, detector] for name in attacks]
+                _bars(axes, own, prefix, number, 0.8 / len(shown))
+            axes.set_title(detector_name(detector))
             axes.axvline(0, color=GREY, linewidth=1)
             axes.set_xlabel("EASR, % of the vehicles found before")
-            axes.grid(axis="x", color="#e3e7eb")
-            axes.set_axisbelow(True)
+            rule(axes, "x")
         first = grid[0][0]
         first.set_yticks(range(len(attacks)), attacks)
         first.set_ylim(len(attacks) - 0.4, -0.6)
@@ -265,42 +240,42 @@ def _figure(
         return as_files(figure)
 
 
-def _bars(axes: Any, rows: Sequence[Mapping[str, Any]], key: str, number: int, count: int) -> None:
+def _bars(
+    axes: Any, rows: Sequence[Mapping[str, Any]], prefix: str, number: int, height: float
+) -> None:
     """Draws one renderer's bars: the first above the second where there are two."""
-    height = 0.8 / count
     for place, row in enumerate(rows):
-        rate = row.get(f"{key}easr")
-        if rate is None:
+        if row.get(f"{prefix}easr") is None:
             continue
         y = place - 0.4 + height * (number + 0.5)
-        axes.barh(y, rate, 0.9 * height, color=_RENDERERS[key][0], alpha=0.75, linewidth=0)
-        low, high = row[f"{key}easr_low"], row[f"{key}easr_high"]
-        if low is not None:
-            axes.plot([low, high], [y, y], color=INK, linewidth=1.3, solid_capstyle="butt")
-        random = row[f"{key}random_easr"]
+        colour, _ = _DRAWN[prefix]
+        axes.barh(y, row[f"{prefix}easr"], 0.9 * height, color=colour, alpha=0.75, linewidth=0)
+        lines = []
+        limits = [row[f"{prefix}easr_low"], row[f"{prefix}easr_high"]]
+        if limits[0] is not None:
+            lines.append((limits, [y, y], INK, 1.3))
+        random = row[f"{prefix}random_easr"]
         if random is not None:
             ends = [y - 0.45 * height, y + 0.45 * height]
-            axes.plot([random, random], ends, color="white", linewidth=4.5, solid_capstyle="butt")
-            axes.plot([random, random], ends, color=INK, linewidth=2.2, solid_capstyle="butt")
+            lines += [([random] * 2, ends, "white", 4.5), ([random] * 2, ends, INK, 2.2)]
+        for across, down, line, width in lines:
+            axes.plot(across, down, color=line, linewidth=width, solid_capstyle="butt")
 
 
 def _left(rows: Sequence[Mapping[str, Any]], shown: Sequence[str]) -> float:
     """Where the axis begins: at the lowest of what is drawn, unless that is far out."""
-    drawn = [
-        row.get(f"{key}{what}")
-        for row in rows
-        for key in shown
-        for what in ("easr", "easr_low", "random_easr")
-    ]
-    return max(_LOWEST, min([0.0, *(value for value in drawn if value is not None)])) - 3
+    keys = [prefix + key for prefix in shown for key in ("easr", "easr_low", "random_easr")]
+    drawn = [row[key] for row in rows for key in keys if row.get(key) is not None]
+    return max(_LOWEST, min([0.0, *drawn])) - 3
 
 
 def _legend(shown: Sequence[str]) -> list[Any]:
+    tick: dict[str, Any] = {"marker": "|", "markersize": 11, "markeredgewidth": 2.2}
     return [
-        *(Patch(color=_RENDERERS[key][0], alpha=0.75, label=_RENDERERS[key][1]) for key in shown),
-        Line2D([], [], color=INK, linewidth=1.3, label="95 % interval"),
-        Line2D(
-            [], [], color=INK, marker="|", linestyle="", markersize=11, markeredgewidth=2.2,
-            label="random draws, mean",
+        *(
+            Patch(color=colour, alpha=0.75, label=label)
+            for colour, label in map(_DRAWN.__getitem__, shown)
         ),
-    ]  # fmt: skip
+        Line2D([], [], color=INK, linewidth=1.3, label="95 % interval"),
+        Line2D([], [], color=INK, linestyle="", label="random draws, mean", **tick),
+    ]

@@ -3,21 +3,16 @@
 import textwrap
 from collections import Counter
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import UInt8
-from matplotlib import pyplot as plt
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.files import inside
 from skyproof.pictures import read_pixels
-from skyproof.report.figures import BLUE, INK, ORANGE, STYLE, as_files
-from skyproof.reproduction.cells import (
-    Figure,
-    Heading,
-    Topic,
-)
+from skyproof.report.figures import BLUE, INK, ORANGE, as_files
+from skyproof.reproduction.cells import Figure, Heading, Topic
+from skyproof.reproduction.drawing import figure_style, panels
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.reproduction.stored_looks import Strip
 
@@ -28,41 +23,44 @@ _STRIP_INCHES = 1.25
 _PORTRAIT_ROWS = 4
 
 
+@figure_style("looks", font=9)
 def looks_part(run: Reproduction) -> Topic:
     """Draws what was tested; figures of what the run lacks are empty."""
     looks = run.looks
-    folder = run.layout.looks
-    with plt.rc_context(STYLE | {"svg.hashsalt": "looks", "font.size": 9}):
-        drawn = {
-            "classes": _classes(run),
-            "samples": _strips(folder, [] if looks is None else looks.samples),
-            "sensor": _strips(folder, [] if looks is None else looks.sensor),
-            "maps": _maps(run),
-            "displacement": _displacement(run),
-        }
-    captions = {
-        "classes": "Kinds of vehicles in the test images; in brackets their share of all in sight",
-        "samples": (
+    figures = [
+        Figure(
+            "classes",
+            "Kinds of vehicles in the test images; in brackets their share of all in sight",
+            _classes(run),
+        ),
+        Figure(
+            "samples",
             "The same test scenes as bare ground, with vehicles as built, and with the freest and "
-            "the most constrained of the learnt textures, shapes and combinations"
+            "the most constrained of the learnt textures, shapes and combinations",
+            _strips(run, looks.samples if looks else ()),
         ),
-        "sensor": (
+        Figure(
+            "sensor",
             "From the renderer’s samples to a photograph’s sharpness: one sample a pixel, four by "
-            "four averaged, and blurred as the ground is"
+            "four averaged, and blurred as the ground is",
+            _strips(run, looks.sensor if looks else ()),
         ),
-        "maps": (
+        Figure(
+            "maps",
             "Every learnt camouflage, of several repeats the first: its texture and its "
             "displacement (nose up, roof in the middle; brighter is farther out), where it has "
-            "them, and worn, from above"
+            "them, and worn, from above",
+            _maps(run),
         ),
-        "displacement": (
+        Figure(
+            "displacement",
             "A learnt displacement map and its axes of symmetry (dashed): the middle of the roof "
             "and of the underside, where the left border is the right one. Both lie in the plane "
             "that halves the vehicle lengthwise. Underside and wheels stay where they are, and "
-            "what lies between vertices is not read: there the map holds what it began with"
+            "what lies between vertices is not read: there the map holds what it began with",
+            _displacement(run),
         ),
-    }
-    figures = [Figure(name, caption, drawn[name]) for name, caption in captions.items()]
+    ]
     return Topic(blocks=[Heading("What was tested"), *figures])
 
 
@@ -80,7 +78,8 @@ def _classes(run: Reproduction) -> dict[str, bytes]:
         vehicles.setdefault(kind, set()).add(vehicle)
     kinds = [kind for kind, _ in seen.most_common()]
     whole = sum(seen.values())
-    figure, axes = plt.subplots(figsize=(6.4, 0.9 + 0.34 * len(kinds)), layout="constrained")
+    figure, grid = panels(1, 1, 6.4, 0.9 + 0.34 * len(kinds))
+    axes = grid[0, 0]
     axes.barh(kinds, [seen[kind] for kind in kinds], color=BLUE, height=0.65)
     for place, kind in enumerate(kinds):
         text = (
@@ -93,23 +92,19 @@ def _classes(run: Reproduction) -> dict[str, bytes]:
     return as_files(figure)
 
 
-def _strips(folder: Path, strips: Sequence[Strip]) -> dict[str, bytes]:
+def _strips(run: Reproduction, strips: Sequence[Strip]) -> dict[str, bytes]:
     """Rows of images, each with what it shows at its left."""
     if not strips:
         return {}
+    folder = run.layout.looks
     images = [
         read_pixels(inside(folder, strip.file, folder / "looks.json"), _REMEDY) for strip in strips
     ]
     columns = round(images[0].shape[1] / images[0].shape[0])
     # The labels take the rest of the width.
-    figure, grid = plt.subplots(
-        len(strips),
-        1,
-        figsize=(1.3 + _STRIP_INCHES * columns, (_STRIP_INCHES + 0.06) * len(strips)),
-        squeeze=False,
-        layout="constrained",
-    )
-    figure.get_layout_engine().set(h_pad=0.02, hspace=0.0)  # type: ignore[union-attr, call-arg]
+    width = 1.3 + _STRIP_INCHES * columns
+    figure, grid = panels(len(strips), 1, width, (_STRIP_INCHES + 0.06) * len(strips))
+    figure.get_layout_engine().set(h_pad=0.02, hspace=0.0)
     for axes, strip, image in zip(grid.flat, strips, images, strict=True):
         axes.imshow(image, interpolation="nearest")
         side = image.shape[0]
@@ -146,20 +141,14 @@ def _maps(run: Reproduction) -> dict[str, bytes]:
             line, column = line + 1, 0
         places.append((line, column))
         column += wide
-    figure, grid = plt.subplots(
-        line + 1,
-        _ACROSS,
-        figsize=(1.05 * _ACROSS, 1.28 * (line + 1)),
-        squeeze=False,
-        layout="constrained",
-    )
+    figure, grid = panels(line + 1, _ACROSS, 1.05 * _ACROSS, 1.28 * (line + 1))
     for axes in grid.flat:
         axes.set_axis_off()
     for (line, column), (name, flat, worn) in zip(places, cells, strict=True):
         shown = grid[line, column : column + len(flat) + 1]
         for axes, pixels in zip(shown, [*flat, worn], strict=True):
             axes.imshow(pixels, interpolation="antialiased")
-        shown[0].set_title(str(name), loc="left", fontsize=8, fontweight="bold")
+        shown[0].set_title(str(name), fontsize=8)
     return as_files(figure)
 
 
@@ -179,7 +168,8 @@ def _displacement(run: Reproduction) -> dict[str, bytes]:
         return {}
     name, values = maps[0]
     side = values.shape[0]
-    figure, axes = plt.subplots(figsize=(5.2, 3.9), layout="constrained")
+    figure, grid = panels(1, 1, 5.2, 3.9)
+    axes = grid[0, 0]
     shown = axes.imshow(
         values[..., 0] / 255, cmap="cividis", vmin=0, vmax=1, interpolation="nearest"
     )
@@ -191,6 +181,6 @@ def _displacement(run: Reproduction) -> dict[str, bytes]:
     )
     axes.set_yticks([0, side - 1], ["nose", "tail"])
     axes.tick_params(length=0)
-    axes.set_title(str(name), loc="left", fontsize=10, fontweight="bold")
+    axes.set_title(str(name), fontsize=10)
     figure.colorbar(shown, ax=axes, label="displacement, as a share of PM · W")
     return as_files(figure)

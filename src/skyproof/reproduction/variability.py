@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from functools import partial
 from statistics import fmean
@@ -9,11 +10,10 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
-from matplotlib import pyplot as plt
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.pictures import read_pixels
-from skyproof.report.figures import STYLE, as_files
+from skyproof.report.figures import as_files
 from skyproof.reproduction.agreement import percentile_interval
 from skyproof.reproduction.cells import (
     Block,
@@ -28,14 +28,17 @@ from skyproof.reproduction.cells import (
     rate,
     value,
 )
+from skyproof.reproduction.drawing import figure_style, panels
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.reproduction.stored_looks import PairLooks
 from skyproof.results.result import MAIN_MATCH
 from skyproof.results.results import RENDERER
-from skyproof.results.statistics.intervals import Interval
+from skyproof.results.statistics.intervals import UNDEFINED, Interval
 from skyproof.words import percent
 
 _LIKENESS = ("correlation", "distance", "seen_correlation", "seen_distance")
+_REMEDY = "copy the whole folder again, or make the camouflage again"
+_COLUMNS = 6
 _MISSING = "How alike repeats of an attack are was not measured in this run."
 
 
@@ -109,10 +112,9 @@ def _pooled(camouflage: str) -> CamouflageName:
 
 def _pairs(run: Reproduction) -> dict[CamouflageName, list[PairLooks]]:
     """Gathers by texture, learnt or drawn, every two of its repeats."""
-    looks = run.looks
-    found: dict[CamouflageName, list[PairLooks]] = {}
-    for pair in [] if looks is None else looks.pairs:
-        found.setdefault(_pooled(pair.first), []).append(pair)
+    found = defaultdict(list)
+    for pair in run.looks.pairs if run.looks else ():
+        found[_pooled(pair.first)].append(pair)
     return found
 
 
@@ -146,10 +148,10 @@ def _agreement(run: Reproduction, names: Sequence[str]) -> Interval | None:
     Returns:
         With the 95 % interval over resampled tiles; None where a start was not scored.
     """
-    by_detector: dict[str, list[Int[np.ndarray, "N 4"]]] = {}
+    by_detector = defaultdict(list)
     for key, counts in run.results.counts.series.items():
         if key.camouflage in names and (key.renderer, key.match) == (RENDERER, MAIN_MATCH):
-            by_detector.setdefault(key.detector, []).append(counts)
+            by_detector[key.detector].append(counts)
     sums = [
         _sums(first, second)
         for series in by_detector.values()
@@ -160,7 +162,7 @@ def _agreement(run: Reproduction, names: Sequence[str]) -> Interval | None:
     stacked = np.stack(sums)
     whole = _correlations(stacked.sum(axis=1))
     if np.isnan(whole).all():
-        return Interval(float("nan"), float("nan"), float("nan"))
+        return UNDEFINED
     # The mean of those pairs that have a correlation, in every replicate the same ones.
     known = ~np.isnan(whole)
     halves = np.split(stacked[known], 2, axis=-1)
@@ -188,58 +190,45 @@ def _correlations(sums: Float[np.ndarray, "*S 6"]) -> Float[np.ndarray, "*S"]:
         return np.where(spread > 1e-12, together / np.sqrt(spread), np.nan)
 
 
-_REMEDY = "copy the whole folder again, or make the camouflage again"
-_COLUMNS = 6
-
-
+@figure_style("variability", font=9, title=9)
 def _figure(run: Reproduction, name: CamouflageName) -> dict[str, bytes]:
     """Draws the starts of one texture; nothing where the run keeps no maps."""
-    looks = run.looks
-    assert looks is not None
-    layout = run.layout
+    assert run.looks is not None
     starts = [
         row.name
-        for row in looks.textures
+        for row in run.looks.textures
         if row.name != str(name) and row.name.rpartition("-")[0] == str(name)
     ]
-    paths = {start: layout.camouflage(start) / "texture.png" for start in starts}
-    if not all(path.exists() for path in paths.values()):
+    paths = [run.layout.camouflage(start) / "texture.png" for start in starts]
+    if not all(path.exists() for path in paths):
         return {}
     alike = np.eye(len(starts))
-    for pair in looks.pairs:
-        if pair.first in paths and pair.second in paths:
-            value = math.nan if pair.seen_correlation is None else pair.seen_correlation
+    for pair in run.looks.pairs:
+        if pair.first in starts and pair.second in starts:
+            correlation = math.nan if pair.seen_correlation is None else pair.seen_correlation
             one, other = starts.index(pair.first), starts.index(pair.second)
-            alike[one, other] = alike[other, one] = value
-    panels = len(starts) + 1
-    columns = min(panels, _COLUMNS)
-    lines = math.ceil(panels / columns)
-    with plt.rc_context(STYLE | {"svg.hashsalt": "variability", "font.size": 9}):
-        figure, grid = plt.subplots(
-            lines,
-            columns,
-            figsize=(2.05 * columns, 2.5 * lines),
-            squeeze=False,
-            layout="constrained",
-        )
-        for axes, (start, path) in zip(grid.flat, paths.items(), strict=False):
-            axes.imshow(read_pixels(path, _REMEDY), interpolation="antialiased")
-            easr = run.results.single_interval(start)
-            success = "" if easr is None else f"\nEASR {percent(easr.estimate)}"
-            axes.set_title(f"{start}{success}", loc="left", fontsize=9, fontweight="bold")
-            axes.set_axis_off()
-        axes = grid.flat[len(starts)]
-        axes.imshow(alike, cmap="Blues", vmin=0, vmax=1)
-        for row, column in np.ndindex(alike.shape):
-            alike_here = float(alike[row, column])
-            colour = "white" if alike_here > 0.6 else "black"
-            text = number(alike_here, 2)
-            axes.text(column, row, text, ha="center", va="center", color=colour, fontsize=7)
-        ticks = [start.rpartition("-")[2] for start in starts]
-        axes.set_xticks(range(len(starts)), ticks)
-        axes.set_yticks(range(len(starts)), ticks)
-        axes.tick_params(length=0)
-        axes.set_title("correlation\nof 4 × 4 texels", loc="left", fontsize=9, fontweight="bold")
-        for axes in list(grid.flat)[panels:]:
-            axes.set_visible(False)
-        return as_files(figure)
+            alike[one, other] = alike[other, one] = correlation
+    count = len(starts) + 1
+    columns = min(count, _COLUMNS)
+    lines = math.ceil(count / columns)
+    figure, grid = panels(lines, columns, 2.05 * columns, 2.5 * lines)
+    for axes, start, path in zip(grid.flat, starts, paths, strict=False):
+        axes.imshow(read_pixels(path, _REMEDY), interpolation="antialiased")
+        easr = run.results.single_interval(start)
+        axes.set_title(start if easr is None else f"{start}\nEASR {percent(easr.estimate)}")
+        axes.set_axis_off()
+    axes = grid.flat[len(starts)]
+    axes.imshow(alike, cmap="Blues", vmin=0, vmax=1)
+    centred: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 7}
+    for row, column in np.ndindex(alike.shape):
+        correlation = float(alike[row, column])
+        colour = "white" if correlation > 0.6 else "black"
+        axes.text(column, row, number(correlation, 2), color=colour, **centred)
+    ticks = [start.rpartition("-")[2] for start in starts]
+    axes.set_xticks(range(len(starts)), ticks)
+    axes.set_yticks(range(len(starts)), ticks)
+    axes.tick_params(length=0)
+    axes.set_title("correlation\nof 4 × 4 texels")
+    for axes in grid.flat[count:]:
+        axes.set_visible(False)
+    return as_files(figure)

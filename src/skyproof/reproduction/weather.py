@@ -4,14 +4,14 @@ Differences from the paper (section S7): it optimises in weather to see what bec
 colours; here success is compared, too.
 """
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib import pyplot as plt
 
 from skyproof.camouflage.name import IN_WEATHER, CamouflageName
-from skyproof.report.figures import BLUE, GREY, ORANGE, STYLE, as_files
+from skyproof.report.figures import BLUE, GREY, ORANGE, as_files
 from skyproof.reproduction.cells import (
     Block,
     Figure,
@@ -19,10 +19,11 @@ from skyproof.reproduction.cells import (
     Table,
     TextTable,
     Topic,
-    bracket,
     interval_cells,
-    number,
+    rate,
+    value,
 )
+from skyproof.reproduction.drawing import figure_style, panels, rule
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.results.conditions import shared_groups
 from skyproof.results.pairs.outcomes import Outcome
@@ -36,6 +37,11 @@ EVERY_WEATHER = "all weathers"
 """All but clear days together."""
 
 _SEED = 0
+_SERIES = (
+    ("clear", "o", BLUE, -0.2, "learnt on clear days"),
+    ("all", "^", ORANGE, 0.0, "learnt in all weathers"),
+    ("random", "s", GREY, 0.2, "random patterns"),
+)
 
 
 def weather_part(run: Reproduction) -> Topic:
@@ -72,12 +78,20 @@ def weather_part(run: Reproduction) -> Topic:
             "Success by weather, learnt on clear days and in all weathers",
             _figure(rows),
         ),
-        TextTable(
+        TextTable.of(
+            rows,
             [
-                *("attack", "weather", "vehicles", "found before", "learnt clear", "net"),
-                *("learnt in all", "net", "gain", "random"),
+                ("attack", "attack"),
+                ("weather", _condition),
+                ("vehicles", "vehicles"),
+                ("found before", value("found_before")),
+                ("learnt clear", rate("clear")),
+                ("net", rate("net_clear")),
+                ("learnt in all", rate("all")),
+                ("net", rate("net_all")),
+                ("gain", rate("gain")),
+                ("random", value("random")),
             ],
-            [_line(row) for row in rows],
         ),
         *_readings(rows),
     ]
@@ -128,24 +142,14 @@ def _cells(parts: Sequence[Sequence[Outcome]]) -> dict[str, Any]:
         "gain": difference_interval([in_all], [on_clear_days]),
     }
     cells: dict[str, Any] = {"vehicles": len(vehicles), "found_before": 100 * float(np.mean(found))}
-    for name, rate in rates.items():
-        cells |= interval_cells(name, rate, 100.0)
+    for name, interval in rates.items():
+        cells |= interval_cells(name, interval, 100.0)
     return cells
 
 
-def _line(row: Mapping[str, Any]) -> list[str]:
-    return [
-        row["attack"],
-        row["condition"].replace("_", " "),
-        str(row["vehicles"]),
-        number(row["found_before"]),
-        bracket(row, "clear"),
-        bracket(row, "net_clear"),
-        bracket(row, "all"),
-        bracket(row, "net_all"),
-        bracket(row, "gain"),
-        number(row["random"]),
-    ]
+def _condition(row: Mapping[str, Any]) -> str:
+    text: str = row["condition"].replace("_", " ")
+    return text
 
 
 def _readings(rows: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -153,8 +157,8 @@ def _readings(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     said = []
     for name in dict.fromkeys(row["attack"] for row in rows):
         own = [row for row in rows if row["attack"] == name]
-        more = [row["condition"].replace("_", " ") for row in own if row["gain_low"] > 0]
-        less = [row["condition"].replace("_", " ") for row in own if row["gain_high"] < 0]
+        more = [_condition(row) for row in own if row["gain_low"] > 0]
+        less = [_condition(row) for row in own if row["gain_high"] < 0]
         found = [
             f"{word} in {', '.join(conditions)}"
             for word, conditions in (("surely more", more), ("surely less", less))
@@ -169,58 +173,39 @@ def _readings(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     return [" ".join(said)]
 
 
-_SERIES = (
-    ("clear", "o", BLUE, -0.2, "learnt on clear days"),
-    ("all", "^", ORANGE, 0.0, "learnt in all weathers"),
-    ("random", "s", GREY, 0.2, "random patterns"),
-)
-
-
+@figure_style("weather")
 def _figure(rows: Sequence[Mapping[str, Any]]) -> dict[str, bytes]:
-    """Draws one panel per attack; SVG and PNG by file ending."""
-    panels: dict[str, list[Mapping[str, Any]]] = {}
+    """Draws one panel per attack."""
+    by_attack = defaultdict(list)
     for row in rows:
-        panels.setdefault(row["attack"], []).append(row)
-    lines = max(len(rows) for rows in panels.values())
-    with plt.rc_context(STYLE | {"svg.hashsalt": "weather"}):
-        figure, grid = plt.subplots(
-            len(panels),
-            1,
-            figsize=(8.5, 1.0 + (0.6 + 0.55 * lines) * len(panels)),
-            layout="constrained",
-            squeeze=False,
-        )
-        for axes, (attack, rows) in zip(grid.flat, panels.items(), strict=True):
-            _panel(axes, rows)
-            axes.set_title(attack, loc="left", fontsize=12, fontweight="bold")
-        grid[-1, 0].set_xlabel(
-            "% of the vehicles found without camouflage in that weather (bars: 95 % interval)"
-        )
-        handles, labels = grid[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=3, fontsize=10)
-        return as_files(figure)
+        by_attack[row["attack"]].append(row)
+    lines = max(map(len, by_attack.values()))
+    count = len(by_attack)
+    figure, grid = panels(count, 1, 8.5, 1.0 + (0.6 + 0.55 * lines) * count)
+    for axes, (attack, own) in zip(grid.flat, by_attack.items(), strict=True):
+        _panel(axes, own)
+        axes.set_title(attack)
+    grid[-1, 0].set_xlabel(
+        "% of the vehicles found without camouflage in that weather (bars: 95 % interval)"
+    )
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=3, fontsize=10)
+    return as_files(figure)
 
 
 def _panel(axes: Any, rows: Sequence[Mapping[str, Any]]) -> None:
     lows = [0.0]
     for key, marker, colour, shift, label in _SERIES:
+        drawn = {"color": colour, "markersize": 7, "markeredgecolor": "white"}
         for place, row in enumerate(rows):
-            rate, low, high = row[key], row[f"{key}_low"], row[f"{key}_high"]
+            easr, low, high = row[key], row[f"{key}_low"], row[f"{key}_high"]
             y = place + shift
             if low == low:
                 axes.plot([low, high], [y, y], color=colour, linewidth=2.2, solid_capstyle="butt")
                 lows.append(low)
-            if rate == rate:
-                axes.plot(
-                    rate,
-                    y,
-                    marker,
-                    color=colour,
-                    markersize=7,
-                    markeredgecolor="white",
-                    label=label if place == 0 else None,
-                )
-    names = [f"{row['condition'].replace('_', ' ')}\nn = {row['vehicles']}" for row in rows]
+            if easr == easr:
+                axes.plot(easr, y, marker, label=label if place == 0 else None, **drawn)
+    names = [f"{_condition(row)}\nn = {row['vehicles']}" for row in rows]
     axes.set_yticks(range(len(rows)), names, fontsize=10)
     axes.set_ylim(len(rows) - 0.5, -0.5)
     # Clear days above, all weathers together below, and between them each by itself.
@@ -229,5 +214,4 @@ def _panel(axes: Any, rows: Sequence[Mapping[str, Any]]) -> None:
             axes.axhline(place - 0.5, color=GREY, linewidth=0.8, linestyle="--")
     axes.axvline(0, color=GREY, linewidth=1)
     axes.set_xlim(max(min(lows), -60) - 3, 103)
-    axes.grid(axis="x", color="#e3e7eb")
-    axes.set_axisbelow(True)
+    rule(axes, "x")
