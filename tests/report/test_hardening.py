@@ -9,7 +9,7 @@ import pytest
 import tyro
 
 from skyproof.main import load_command
-from skyproof.report.hardening import readings
+from skyproof.report.advice import readings
 from skyproof.report.report import write_report
 from skyproof.results.conditions import Bin, Panel
 from skyproof.results.statistics.intervals import Interval

@@ -15,7 +15,7 @@ import pytest
 from PIL import Image
 
 from skyproof.files import write_json
-from skyproof.report.renderers import survival
+from skyproof.report.answer import survival
 from skyproof.report.report import write_report
 from skyproof.reproduction.cycles import cycles_columns
 from skyproof.reproduction.reproduction import Reproduction

@@ -35,7 +35,6 @@ class Ruling:
     """The verdict on one detector.
 
     Attributes:
-        detector: name of the detector.
         answer: the verdict; not applicable after a failed or missing precheck.
         sentences: the answer and its reason.
         more_vehicles: number of further vehicles that would decide, on tiles like these; 0 if
@@ -76,10 +75,6 @@ def rule(results: Results, requirement: Requirement, alarms: Sequence[str] = ())
     any weather, query attacks and chosen controls, each repeat by itself. Single random draws and
     copies of unfinished camouflages are none. With alarms of gradient masking no detector is
     accepted, because other attacks could hide more.
-
-    Raises:
-        ConfigurationError: no camouflage of the run is such an attack.
-        StoredFileError: a file of the run is damaged.
     """
     rulings = []
     for name in results.detectors:
@@ -155,11 +150,8 @@ def _attacks(tiles: OutcomeCounts, detector: str) -> dict[str, tuple[np.ndarray,
     for key, counts in tiles.series.items():
         camouflage = CamouflageName.read(key.camouflage)
         single_draw = camouflage.random and not camouflage.choice
-        if (
-            (key.detector, key.match) != (detector, MAIN_MATCH)
-            or single_draw
-            or camouflage.kept_copy
-        ):
+        other = (key.detector, key.match) != (detector, MAIN_MATCH)
+        if other or single_draw or camouflage.kept_copy:
             continue
         by_tile = np.zeros((len(names), 4), dtype=np.int64)
         np.add.at(by_tile, place, counts)

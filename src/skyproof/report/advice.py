@@ -1,15 +1,22 @@
-"""Advice on the detectors, and the limits of the numbers; never how to hide."""
+"""Advice on the detectors, images to harden them, and limits of the numbers; never how to hide."""
 
 import math
-from collections.abc import Sequence
+import shlex
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from skyproof import words
 from skyproof.camouflage.name import CamouflageName
+from skyproof.layout import Layout
+from skyproof.results.conditions import Bin, Panel
+from skyproof.results.findings import findings
 from skyproof.results.result import MEAN, Result
 from skyproof.results.results import Results
 
 _MUCH_BY_CHANCE = 0.1
+_STRONGEST = 2
+# Kinds of change in a precheck that are paints.
+_PAINTS = ("paint_body", "paint_whole", "two_tone", "control")
 
 
 def advice(rows: Sequence[Result]) -> list[str]:
@@ -18,9 +25,7 @@ def advice(rows: Sequence[Result]) -> list[str]:
     single = [row for row in rows if row.detector != MEAN and not math.isnan(row.easr.estimate)]
     sentences = []
     if len(single) > 1:
-        ranked = sorted(single, key=lambda row: row.easr.estimate)
-        best = ranked[0]
-        worst = ranked[-1]
+        best, *_, worst = sorted(single, key=lambda row: row.easr.estimate)
         if best.easr.high < worst.easr.low:
             sentences.append(
                 f"{words.detector_name(best.detector)} withstands {quoted.camouflage} better "
@@ -53,31 +58,22 @@ def advice(rows: Sequence[Result]) -> list[str]:
             "again with a newly optimised pattern. A detector that is hardened against a known "
             "pattern is not thereby hardened against the next."
         )
-    sentences.append(
-        "After hardening, measure the baseline and false alarms again: robustness can cost both."
-    )
-    sentences.append(
+    return [
+        *sentences,
+        "After hardening, measure the baseline and false alarms again: robustness can cost both.",
         "Quote net success with its interval, not the gross rate, when comparing detectors or "
-        "suppliers."
-    )
-    return sentences
+        "suppliers.",
+    ]
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Facts of a run that limit its numbers.
+    """Facts of a run that limit its numbers."""
 
-    Attributes:
-        attacked: detectors that the attack was optimised against, if recorded.
-        held_out: whether other detectors were scored.
-        growing: camouflages with a repeat that was still getting stronger.
-        slim: detectors that are reduced versions of the published networks.
-    """
-
-    attacked: Sequence[str]
-    held_out: bool
-    growing: Sequence[str]
-    slim: Sequence[str]
+    attacked: Sequence[str]  # detectors that the attack was optimised against, if recorded
+    held_out: bool  # whether other detectors were scored
+    growing: Sequence[str]  # camouflages with a repeat that was still getting stronger
+    slim: Sequence[str]  # detectors that are reduced versions of the published networks
 
 
 def limits(results: Results, every: Sequence[Result]) -> Limits:
@@ -91,23 +87,126 @@ def limits(results: Results, every: Sequence[Result]) -> Limits:
 
 
 def _not_converged(results: Results, every: Sequence[Result]) -> list[str]:
-    """Gives the camouflages with a repeat that was still getting stronger."""
-    growing = []
-    for row in every:
-        own = [
-            record.convergence
-            for name, record in results.records.items()
-            if CamouflageName.read(name).pooled == row.camouflage
-        ]
-        if any(found is not None and not found.converged for found in own):
-            growing.append(str(row.camouflage))
-    return growing
+    growing = {
+        CamouflageName.read(name).pooled
+        for name, record in results.records.items()
+        if record.convergence is not None and not record.convergence.converged
+    }
+    return [str(row.camouflage) for row in every if row.camouflage in growing]
 
 
 def _attacked(results: Results, camouflage: CamouflageName) -> list[str]:
-    """Gives the detectors that a camouflage was optimised against; empty where not recorded."""
     for name in (str(camouflage), str(camouflage.with_repeat(0))):
         record = results.records.get(name)
         if record is not None and record.attack is not None:
             return [words.detector_name(detector) for detector in record.attack.detectors]
     return []
+
+
+@dataclass(frozen=True)
+class Hardening:
+    """Images that train the weaknesses away."""
+
+    paints: bool  # whether images of many paints come first
+    images: Sequence[str]  # sentences that name the images to add
+    commands: Sequence[str]  # render them in the run folder
+
+
+def hardening(
+    results: Results,
+    every: Sequence[Result],
+    panels: Callable[[Result], Sequence[Panel]],
+) -> Hardening | None:
+    """Names the images that help against the strongest attacks, and how to make them.
+
+    They show vehicles and tiles of the attack split. Those of the test would flatter the next test.
+    None where no attack hides anything for sure, or the run folder lacks what is needed.
+    """
+    layout = Layout(results.folder)
+    fleet = layout.fleets / "attack"
+    known = [row for row in every if row.easr.low > 0 and _folder(results, row.camouflage)]
+    ranked = sorted(known, key=lambda row: -row.easr.estimate)[:_STRONGEST]
+    needed = (layout.backgrounds / "index.json", fleet)
+    if not ranked or not results.test_scenes or not all(place.exists() for place in needed):
+        return None
+    names = [shlex.quote(str(_folder(results, row.camouflage))) for row in ranked]
+    shown = " and ".join(str(row.camouflage) for row in ranked)
+    images = [
+        f"{shown} {'hide' if len(ranked) > 1 else 'hides'} most. Add images of such vehicles with "
+        "their labels to the training images. The commands below render them on the ground and "
+        "with the vehicles of the attack, not those of the test."
+    ]
+    for row in ranked:
+        for panel in panels(row):
+            extremes = _extremes(panel)
+            if extremes is not None and _apart(*extremes):
+                images.append(
+                    f"{row.camouflage} hides most at {panel.title.lower()} "
+                    f"{_told(extremes[0])}: include such views."
+                )
+    size_px = results.test_scenes[0].camera.size_px
+    paints = _fails_at_paints(results)
+    attack = "--backgrounds backgrounds --fleet fleets/attack"
+    commands = [
+        f"skyproof render {attack} --split attack --count 400 --seed 1 --settings.size-px "
+        f"{size_px} --camouflage camouflages/{name} --labels yolo --out hardening/{name}"
+        for name in names
+    ]
+    if paints:
+        painted = "--backgrounds backgrounds --fleet hardening/fleets/train"
+        commands = [
+            "skyproof vehicles --counts 200 1 1 1 --seed 1 --out hardening/fleets",
+            f"skyproof render {painted} --split attack --count 800 --seed 2 --settings.size-px "
+            f"{size_px} --labels yolo --out hardening/paints",
+            *commands,
+        ]
+    return Hardening(paints, images, commands)
+
+
+def _fails_at_paints(results: Results) -> bool:
+    """Whether a detector failed its precheck at paints or random patterns."""
+    records = [record for name, record in results.prechecks.items() if name in results.detectors]
+    return any(
+        each.outcome == "failed" and bool(each.rates) and each.rates[0].kind in _PAINTS
+        for record in records
+        for each in findings(record)
+    )
+
+
+def readings(panels: Sequence[Panel]) -> list[str]:
+    """Says in one sentence per panel whether the intervals of its extremes part company."""
+    sentences = []
+    for panel in panels:
+        extremes = _extremes(panel)
+        if extremes is None:
+            continue
+        most, least = extremes
+        told = "no clear difference; the intervals overlap."
+        if _apart(most, least):
+            told = f"most hidden at {_told(most)}, least at {_told(least)}; the intervals do not "
+            told += "overlap."
+        sentences.append(f"{panel.title}: {told}")
+    return sentences
+
+
+def _extremes(panel: Panel) -> tuple[Bin, Bin] | None:
+    """Gives the bins where most and least is hidden; None where fewer than two have limits."""
+    known = [bar for bar in panel.bins if bar.rate.low == bar.rate.low]
+    if len(known) < 2:
+        return None
+    least = min(known, key=lambda bar: bar.rate.estimate)
+    return max(known, key=lambda bar: bar.rate.estimate), least
+
+
+def _apart(most: Bin, least: Bin) -> bool:
+    return most.rate.low > least.rate.high
+
+
+def _told(bar: Bin) -> str:
+    return f"{bar.label} ({words.percent(bar.rate.estimate)})".replace("\n", " ")
+
+
+def _folder(results: Results, camouflage: CamouflageName) -> str | None:
+    """Gives the name of a camouflage's folder in the run, of the first of its repeats."""
+    names = (str(camouflage), str(camouflage.with_repeat(0)))
+    return next((name for name in names if name in results.records), None)

@@ -1,11 +1,12 @@
-"""The result of one camouflage in plain sentences, with its uncertainty."""
+"""The result of one camouflage in plain sentences, and what a second renderer leaves of it."""
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.results.result import MEAN, Contrast, Result
-from skyproof.results.results import RENDERER
+from skyproof.results.results import RENDERER, RendererChange, Results
 from skyproof.results.statistics.intervals import Interval
 from skyproof.results.worst import WorstCase
 from skyproof.words import detector_name, interval, percent, points, renderer_name
@@ -17,9 +18,8 @@ _WORTH_SAYING = 0.05
 def answer(rows: Sequence[Result], lenient: Result | None = None) -> list[str]:
     """Gives the results of one camouflage in plain sentences, with their uncertainty.
 
-    Args:
-        rows: results by detector; the last one is quoted, the mean where there are several.
-        lenient: the quoted result by the lenient rule; None where it was not scored.
+    The last of the rows by detector is quoted, the mean where there are several; `lenient` is its
+    result by the lenient rule.
     """
     row = rows[-1]
     several = row.detector == MEAN
@@ -44,10 +44,9 @@ def answer(rows: Sequence[Result], lenient: Result | None = None) -> list[str]:
     if several:
         rates = [other.easr.estimate for other in rows[:-1]]
         known = [rate for rate in rates if not math.isnan(rate)]
-        least = percent(min(known))
-        most = percent(max(known))
-        alike = f"The share is {most} for every detector."
-        sentences.append(alike if least == most else f"The share is {least} to {most} by detector.")
+        least, most = (percent(bound(known)) for bound in (min, max))
+        spread = f"{most} for every detector" if least == most else f"{least} to {most} by detector"
+        sentences.append(f"The share is {spread}.")
     sentences += _beside_controls(row)
     if lenient is not None:
         sentences.append(_leniently(row, lenient))
@@ -86,10 +85,7 @@ def worst_case(case: WorstCase) -> str:
 
 
 def _beside_controls(row: Result) -> list[str]:
-    """Says how much more it hides than random controls and than the strongest chosen control.
-
-    Of a combination it also says what the optimised shape adds.
-    """
+    """Says how much more it hides than its controls, and what the shape of a combination adds."""
     sentences = []
     if row.random is not None:
         sentences.append(_more(row.random, "an average random pattern of the same kind"))
@@ -158,3 +154,78 @@ def _sure(rate: Interval) -> str:
     if math.isnan(rate.low):
         return "no interval: too few background tiles"
     return f"95{_THIN}% interval {interval(rate.low, rate.high)}"
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One detector's rows under two renderers, and by how much EASR and net EASR change."""
+
+    detector: str
+    first: Result
+    second: Result
+    first_random: Result | None
+    second_random: Result | None
+    change: Interval | None
+    net_change: Interval | None
+
+
+def compare_renderers(results: Results, first: Result, second: Result) -> list[Compared]:
+    """Compares the detectors that were scored under both renderers, and their mean."""
+    others = {row.detector: row for row in results.by_detector(second)}
+    return [
+        Compared(
+            detector=row.detector,
+            first=row,
+            second=other,
+            first_random=results.control(row),
+            second_random=results.control(other),
+            change=_difference(results, row, other),
+            net_change=_difference(results, row, other, net=True),
+        )
+        for row in results.by_detector(first)
+        if (other := others.get(row.detector)) is not None
+    ]
+
+
+def survival(first: Result, gross: RendererChange | None, net: RendererChange | None) -> str:
+    """Says whether the second renderer's images hide as many vehicles as the first's.
+
+    `gross` and `net` are the changes of EASR and net EASR, mean over detectors.
+    """
+    change = net or gross
+    if gross is None or change is None or math.isnan(change.difference.estimate):
+        return "It cannot be compared with the other renderer, because a success rate is undefined."
+    what = "The share hidden" if net is None else "Net success"
+    there = renderer_name(first.renderer)
+    rates = f"{percent(change.second)} here, {percent(change.first)} with the {there}"
+    limits = change.difference
+    if math.isnan(limits.low):
+        return f"{what}: {rates}. The difference has no interval: too few background tiles."
+    sure = (
+        f"95\u202f% interval of the difference {points(limits.low)} to {points(limits.high)} points"
+    )
+    if limits.low > 0:
+        return f"{what} is higher in this light, which the attack never saw: {rates} ({sure})."
+    if limits.high >= 0:
+        return f"{what} cannot be told apart between the renderers: {rates} ({sure})."
+    lower = f"{what} is lower in this light, which the attack never saw: {rates} ({sure})."
+    if gross.difference.high < 0:
+        return f"{lower} The missing part leant on how the {there} draws light and paint."
+    return (
+        f"{lower} Random patterns hide more here; the share that {first.camouflage} hides does not "
+        "clearly fall."
+    )
+
+
+def _difference(
+    results: Results, first: Result, second: Result, *, net: bool = False
+) -> Interval | None:
+    change = results.change(
+        [first.camouflage],
+        detector=first.detector,
+        net=net,
+        first=first.renderer,
+        second=second.renderer,
+    )
+    undefined = change is None or math.isnan(change.difference.estimate)
+    return None if undefined or change is None else change.difference

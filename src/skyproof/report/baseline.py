@@ -22,34 +22,21 @@ _FEW_FOUND = 0.8
 
 @dataclass(frozen=True)
 class BaselineRow:
-    """One set of images without camouflage.
-
-    Attributes:
-        name: name of the set.
-        real: whether a camera took the images.
-        contents: numbers of images and vehicles, their processing, and the unit of the intervals.
-        baselines: one per detector; None where it was not measured on this set.
-    """
+    """One set of images without camouflage."""
 
     name: str
-    real: bool
-    contents: str
-    baselines: Sequence[Baseline | None]
+    real: bool  # whether a camera took the images
+    contents: str  # images and vehicles, their processing, and the unit of the intervals
+    baselines: Sequence[Baseline | None]  # by detector; None where it was not measured
 
 
 @dataclass(frozen=True)
 class RealData:
-    """Clauses and sentences on the real data behind the numbers; empty where there is none.
+    """Clauses and sentences on the real data behind the numbers; empty where there is none."""
 
-    Attributes:
-        scores: baseline on photographs.
-        weak: detectors with a low one.
-        removed: removal of vehicles from the photographs.
-    """
-
-    scores: str
-    weak: str
-    removed: str
+    scores: str  # baseline on photographs
+    weak: str  # detectors with a low one
+    removed: str  # removal of vehicles from the photographs
 
 
 def baseline_sets(results: Results) -> list[BaselineRow]:
@@ -78,11 +65,7 @@ def _contents(baseline: Baseline) -> str:
 
 
 def real_data(results: Results) -> RealData:
-    """Describes the real data behind the report.
-
-    Raises:
-        StoredFileError: the record of the removed vehicles is damaged.
-    """
+    """Describes the real data behind the report."""
     real = [one for one in baseline_sets(results) if one.real]
     cut = bool(results.rows) and results.sources not in ([], ["procedural"])
     return RealData(
@@ -155,16 +138,13 @@ def _scores(sets: Sequence[BaselineRow], detectors: Sequence[str]) -> str:
 
 def _weak(sets: Sequence[BaselineRow], detectors: Sequence[str]) -> str:
     """Says which detectors stay below `_FEW_FOUND` on a real set."""
-    weak = [
-        name
-        for index, name in enumerate(detectors)
-        if any(_is_weak(one.baselines[index]) for one in sets)
-    ]
+    low = {
+        each.detector
+        for one in sets
+        for each in one.baselines
+        if each is not None and not each.ap_centre_1m.estimate >= _FEW_FOUND
+    }
+    weak = [detector_name(name) for name in detectors if name in low]
     if not weak:
         return ""
-    names = listed([detector_name(name) for name in weak])
-    return f"{names} {'is' if len(weak) == 1 else 'are'} below {percent(_FEW_FOUND)}"
-
-
-def _is_weak(baseline: Baseline | None) -> bool:
-    return baseline is not None and not baseline.ap_centre_1m.estimate >= _FEW_FOUND
+    return f"{listed(weak)} {'is' if len(weak) == 1 else 'are'} below {percent(_FEW_FOUND)}"

@@ -1,8 +1,11 @@
-"""The report's diagrams, each as one inline SVG."""
+"""The report's diagrams, each as one inline SVG, and its pictures as data URIs."""
 
+import base64
 import io
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import matplotlib
@@ -12,7 +15,10 @@ import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
+from PIL import Image
 
+from skyproof.errors import StoredFileError
+from skyproof.pictures import open_picture, read_pixels
 from skyproof.results.conditions import Panel
 from skyproof.results.result import Result
 from skyproof.results.statistics.acceptance import Requirement
@@ -47,16 +53,16 @@ STYLE: Any = {
 }
 
 
+_REMEDY = "copy the whole folder again, or score again"
+
+
 def forest_figure(
     salt: str,
     labels: Sequence[str],
     rows: Sequence[Result],
     controls: Sequence[Result | None],
 ) -> str:
-    """Draws per result the share hidden (EASR), and what remains after subtracting its controls.
-
-    Bars are 95 % intervals.
-    """
+    """Draws per result the share hidden, and what remains after subtracting its controls."""
     randoms = [None if row is None else row.easr for row in controls]
     strongest = [None if row.strongest is None else row.strongest.net for row in rows]
     series: list[tuple[str, str, str, float, list[Interval | None]]] = [
@@ -92,27 +98,27 @@ def forest_figure(
 
 
 def _point(
-    axes: Any, rate: Interval, y: float, marker: str, colour: str, label: str | None
+    axes: Any,
+    rate: Interval,
+    place: float,
+    marker: str,
+    colour: str,
+    label: str | None = None,
+    *,
+    upright: bool = False,
 ) -> None:
+    """Draws a rate with its interval, across or upright."""
+    turn = slice(None, None, -1 if upright else 1)
     if not math.isnan(rate.low):
-        ends = [100 * rate.low, 100 * rate.high]
-        axes.plot(ends, [y, y], color=colour, linewidth=2.2, solid_capstyle="butt")
-    axes.plot(
-        [100 * rate.estimate],
-        [y],
-        marker,
-        color=colour,
-        markersize=7,
-        label=label,
-        markeredgecolor="white",
-    )
+        bar = ([100 * rate.low, 100 * rate.high], [place, place])
+        axes.plot(*bar[turn], color=colour, linewidth=2.2, solid_capstyle="butt")
+    spot = ([100 * rate.estimate], [place])
+    style = {"color": colour, "markersize": 7, "label": label, "markeredgecolor": "white"}
+    axes.plot(*spot[turn], marker, **style)
 
 
 def loss_figure(title: str, curves: Mapping[str, Sequence[tuple[float, float]]]) -> str:
-    """Loss against step.
-
-    Each curve is (step, loss) pairs, smoothed over a fiftieth of its length on top of the raw one.
-    """
+    """Draws (step, loss) pairs, and on top of them a mean over a fiftieth of the steps."""
     with plt.rc_context(STYLE | {"svg.hashsalt": title}):
         figure, axes = plt.subplots(figsize=(5.6, 3.2), layout="constrained")
         positive = True
@@ -161,21 +167,8 @@ def condition_figure(panels: Sequence[Panel]) -> str:
         )
         for axes, panel in zip(grid.flat, panels, strict=False):
             for place, bar in enumerate(panel.bins):
-                if bar.rate.estimate != bar.rate.estimate:
-                    continue
-                if bar.rate.low == bar.rate.low:
-                    ends = [100 * bar.rate.low, 100 * bar.rate.high]
-                    axes.plot(
-                        [place, place], ends, color=BLUE, linewidth=2.2, solid_capstyle="butt"
-                    )
-                axes.plot(
-                    [place],
-                    [100 * bar.rate.estimate],
-                    "o",
-                    color=BLUE,
-                    markersize=7,
-                    markeredgecolor="white",
-                )
+                if not math.isnan(bar.rate.estimate):
+                    _point(axes, bar.rate, place, "o", BLUE, upright=True)
             labels = [f"{bar.label}\nn = {bar.vehicles}" for bar in panel.bins]
             axes.set_xticks(range(len(panel.bins)), labels, fontsize=9)
             axes.set_xlim(-0.6, len(panel.bins) - 0.4)
@@ -183,13 +176,8 @@ def condition_figure(panels: Sequence[Panel]) -> str:
             axes.set_title(panel.title, loc="left", fontsize=11, fontweight="bold")
             axes.grid(axis="y", color="#e3e7eb")
             axes.set_axisbelow(True)
-        lows = [
-            100 * bar.rate.low
-            for panel in panels
-            for bar in panel.bins
-            if bar.rate.low == bar.rate.low
-        ]
-        bottom = min([0.0, *lows])
+        lows = [100 * bar.rate.low for panel in panels for bar in panel.bins]
+        bottom = min([0.0, *(low for low in lows if not math.isnan(low))])
         for axes in grid[:, 0]:
             axes.set_ylim(bottom - 3, 103)
             axes.set_ylabel("share hidden (%)")
@@ -246,3 +234,72 @@ def chances_figure(chances: DecisionChances, requirement: Requirement) -> str:
         axes.grid(color="#e3e7eb")
         axes.legend(fontsize=10, loc="center right")
         return as_svg(figure)
+
+
+@dataclass(frozen=True)
+class QueryCurve:
+    """The share hidden against the number of queries, of an attack or its random search."""
+
+    name: str
+    points: Sequence[tuple[int, Interval]]
+    random: bool
+
+
+def queries_figure(curves: Sequence[QueryCurve]) -> str:
+    """Draws a panel per attack, its random search dashed."""
+    names = list(dict.fromkeys(curve.name for curve in curves))
+    columns = min(3, len(names))
+    rows = math.ceil(len(names) / columns)
+    with plt.rc_context(STYLE | {"svg.hashsalt": "queries"}):
+        figure, grid = plt.subplots(
+            rows,
+            columns,
+            figsize=(max(4.0, 2.7 * columns), 0.5 + 2.3 * rows),
+            sharex=True,
+            sharey=True,
+            squeeze=False,
+            layout="constrained",
+        )
+        for axes, name in zip(grid.flat, names, strict=False):
+            for curve in (one for one in curves if one.name == name):
+                colour, line = (GREY, "s--") if curve.random else (BLUE, "o-")
+                label = "random search" if curve.random else "query attack"
+                images = [count for count, _ in curve.points]
+                rates = [rate for _, rate in curve.points]
+                shares = [100 * rate.estimate for rate in rates]
+                lows = [100 * rate.low for rate in rates]
+                highs = [100 * rate.high for rate in rates]
+                axes.plot(images, shares, line, color=colour, markersize=5, label=label)
+                axes.fill_between(images, lows, highs, color=colour, alpha=0.15, linewidth=0)
+            axes.set_title(name, fontsize=11)
+            axes.grid(color="#e3e7eb")
+        for axes in list(grid.flat)[len(names) :]:
+            axes.set_visible(False)
+        figure.supxlabel("images shown to the detector", fontsize=11)
+        figure.supylabel("% hidden", fontsize=11)
+        handles, labels = grid[0, 0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper center", ncols=2, fontsize=10)
+        return as_svg(figure)
+
+
+def embedded_jpeg(path: Path) -> str:
+    """Gives a JPEG file as a data URI."""
+    picture = open_picture(path, _REMEDY)
+    with picture:
+        if picture.format != "JPEG":
+            raise StoredFileError(f"{path} is a {picture.format} file, not JPEG; {_REMEDY}.")
+    return f"data:image/jpeg;base64,{base64.b64encode(path.read_bytes()).decode()}"
+
+
+def embedded(path: Path | None, *, lossless: bool = True) -> str | None:
+    """Gives a picture as a data URI: PNG where texels matter, else JPEG."""
+    if path is None:
+        return None
+    buffer = io.BytesIO()
+    picture = Image.fromarray(read_pixels(path, _REMEDY))
+    if lossless:
+        picture.save(buffer, "PNG", optimize=True)
+    else:
+        picture.save(buffer, "JPEG", quality=80)
+    kind = "png" if lossless else "jpeg"
+    return f"data:image/{kind};base64,{base64.b64encode(buffer.getvalue()).decode()}"

@@ -19,10 +19,7 @@ _SEVERITY = ("accepted", "undecided", "not applicable", "rejected")
 
 @dataclass(frozen=True)
 class Opening:
-    """The answer in ten seconds: one figure with its interval and meaning, and the next steps.
-
-    Missing parts are empty.
-    """
+    """The answer as one figure with its interval and meaning, and next steps; or empty parts."""
 
     tone: Literal["neutral", "accepted", "rejected", "undecided", "not applicable"]
     label: str
@@ -40,31 +37,21 @@ def opening(
     *,
     hardened: bool,
 ) -> Opening:
-    """Gives the first screen of a report.
-
-    Args:
-        every: result to quote of each camouflage.
-        acceptance: the verdict; None without a requirement.
-        precheck: precheck of the detectors.
-        baselines: image sets of their baseline.
-        hardened: whether the page says how to harden the detectors.
-    """
+    """Gives the first screen of a report; `hardened` if the page says how to harden detectors."""
     steps = _next_steps(every, acceptance, precheck, baselines, hardened)
     if acceptance is not None:
         return _ruled(max(acceptance.rulings, key=lambda each: _SEVERITY.index(each.answer)), steps)
     row = strongest_of(every)
     if row is None:
         return _baseline(baselines, steps)
-    whose = (
-        "the detectors found" if row.detector == MEAN else f"{detector_name(row.detector)} found"
-    )
+    whose = "the detectors" if row.detector == MEAN else detector_name(row.detector)
     random = "" if row.random is None else f" Random controls hide {percent(row.random.easr)}."
     return Opening(
         "neutral",
         "Hidden by the strongest attack",
         percent(row.easr.estimate),
         _sure(row.easr),
-        f"of the vehicles that {whose} without camouflage are missed with "
+        f"of the vehicles that {whose} found without camouflage are missed with "
         f"{row.camouflage.in_words} ({row.camouflage}).{random}",
         steps,
     )

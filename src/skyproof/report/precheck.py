@@ -20,17 +20,11 @@ _STRIPS: dict[Kind, str] = {"paint_body": "body panels", "paint_whole": "whole v
 
 @dataclass(frozen=True)
 class PrecheckState:
-    """The precheck of one detector.
+    """The precheck of one detector."""
 
-    Attributes:
-        name: name of the detector in words.
-        outcome: None without a precheck.
-        words: the worst finding, in a sentence.
-    """
-
-    name: str
-    outcome: FindingOutcome | None
-    words: str
+    name: str  # in words
+    outcome: FindingOutcome | None  # None without a precheck
+    words: str  # the worst finding, in a sentence
 
     @property
     def title(self) -> str:
@@ -45,7 +39,6 @@ class PrecheckPart:
     """The precheck of a run's detectors.
 
     Attributes:
-        states: one per detector.
         notes: limits of the precheck, a sentence each.
         names: detectors with a precheck.
         rows: per criterion, the finding of each of them; None where it was not measured.
@@ -66,11 +59,7 @@ class PrecheckPart:
 
 
 def precheck_part(results: Results) -> PrecheckPart:
-    """Reads the prechecks beside the detectors of a run.
-
-    Raises:
-        StoredFileError: a `precheck.json`, or the file of the test scenes, is damaged.
-    """
+    """Reads the prechecks beside the detectors of a run."""
     records = results.prechecks
     found = {name: findings(records[name]) for name in results.detectors if name in records}
     states = [_state(name, found.get(name)) for name in results.detectors]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from markupsafe import Markup
 
 from skyproof.camouflage.name import QUERIED, TRANSFER, CamouflageName
-from skyproof.report.queries_figure import QueryCurve, queries_figure
+from skyproof.report.figures import QueryCurve, queries_figure
 from skyproof.results.result import LENIENT_MATCH
 from skyproof.results.results import Results
 from skyproof.results.statistics.intervals import Interval
@@ -21,25 +21,15 @@ _KEPT = re.compile(rf"{QUERIED}(?P<images>\d+)")
 
 @dataclass(frozen=True)
 class QueryResult:
-    """The shares that a query attack and its competitors hide.
+    """The shares that a query attack and its competitors hide."""
 
-    Attributes:
-        name: name of the camouflage without variant.
-        gradients: share by the gradient attack; None for a black-box detector.
-        transfer: share by the camouflage of other detectors.
-        queried: share after all queries.
-        lenient: the same by the lenient rule; None if not scored.
-        images: number of queries.
-        searched: share by a random search with as many queries; None without one.
-    """
-
-    name: CamouflageName
-    gradients: Interval | None
-    transfer: Interval | None
-    queried: Interval
-    lenient: Interval | None
-    images: int
-    searched: Interval | None
+    name: CamouflageName  # without variant
+    gradients: Interval | None  # None for a black-box detector
+    transfer: Interval | None  # by the camouflage of other detectors
+    queried: Interval  # after all queries
+    lenient: Interval | None  # the same by the lenient rule
+    images: int  # number of queries
+    searched: Interval | None  # by a random search with as many queries
 
 
 @dataclass(frozen=True)
@@ -47,12 +37,10 @@ class QueryPart:
     """The page's part on query attacks.
 
     Attributes:
-        rows: one per attack.
         figure: success against queries.
         only: whether the detector is a black box.
         alarms: a sentence for each attack that hides more by queries than by gradients, and by more
             than another start of either could explain.
-        conclusion: in a sentence or more.
     """
 
     rows: Sequence[QueryResult]

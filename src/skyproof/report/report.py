@@ -17,16 +17,19 @@ from skyproof.errors import RunFolderError
 from skyproof.files import alone, inside, write_bytes
 from skyproof.layout import Layout
 from skyproof.report.acceptance import read_requirement, rule, write_verdict
-from skyproof.report.advice import advice, limits
-from skyproof.report.answer import answer, worst_case
+from skyproof.report.advice import advice, hardening, limits, readings
+from skyproof.report.answer import answer, compare_renderers, survival, worst_case
 from skyproof.report.baseline import baseline_sets, real_data
-from skyproof.report.embedded import embedded, embedded_jpeg
-from skyproof.report.figures import condition_figure, forest_figure, loss_figure
-from skyproof.report.hardening import hardening, readings
+from skyproof.report.figures import (
+    condition_figure,
+    embedded,
+    embedded_jpeg,
+    forest_figure,
+    loss_figure,
+)
 from skyproof.report.opening import opening, strongest_of
 from skyproof.report.precheck import precheck_part
 from skyproof.report.queries import query_part
-from skyproof.report.renderers import compare_renderers, survival
 from skyproof.results.conditions import Panel, condition_panels
 from skyproof.results.findings import rate_outcome, rate_words
 from skyproof.results.result import Result
@@ -45,12 +48,7 @@ share one."""
 
 @dataclass(frozen=True)
 class Section:
-    """A further section of the page, handed in by the caller of `write_report`.
-
-    Attributes:
-        title: the heading.
-        html: contents below it.
-    """
+    """A further section of the page, handed in by the caller of `write_report`."""
 
     title: str
     html: Markup
@@ -99,12 +97,7 @@ def write_report(
 
 
 def _refuse_other_files(layout: Layout) -> None:
-    """Keeps a report from replacing files that are not skyproof's.
-
-    Raises:
-        StoredFileError: `results.json` is not ours.
-        RunFolderError: there is a page without results of ours.
-    """
+    """Keeps a report from replacing files that are not skyproof's."""
     if layout.results.exists():
         read_document(layout.results, _Known, "move it away, it is not replaced")
         return
@@ -187,20 +180,8 @@ def _environment() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    filters = (
-        words.percent,
-        words.points,
-        words.interval,
-        words.number,
-        words.probability,
-        words.evidence,
-        words.detector_name,
-        words.renderer_name,
-        rate_outcome,
-        rate_words,
-        ink,
-    )
-    environment.filters |= {function.__name__: function for function in filters}
+    own = {"rate_outcome": rate_outcome, "rate_words": rate_words, "ink": ink}
+    environment.filters |= vars(words) | own
     return environment
 
 
@@ -224,14 +205,8 @@ class _Contents:
 
     def second(self, row: Result) -> Result | None:
         """Gives a camouflage's result under the other renderer; None without one."""
-        return next(
-            (
-                other
-                for other in self._quoted
-                if other.camouflage == row.camouflage and other.renderer != row.renderer
-            ),
-            None,
-        )
+        same = (other for other in self._quoted if other.camouflage == row.camouflage)
+        return next((other for other in same if other.renderer != row.renderer), None)
 
     def answer(self, row: Result) -> list[str]:
         return answer(self._results.by_detector(row), self._results.lenient(row))
