@@ -39,7 +39,9 @@ class BlackBoxDetector(Detector):
         self.name = own if name is None else name
         if card is not None:
             self.set_card(card)
-        self._detect: Any = getattr(detector, "detect", detector)
+        # The answers of another one are checked here, so once.
+        wrapped = detector._detect if isinstance(detector, BlackBoxDetector) else detector
+        self._detect: Any = getattr(wrapped, "detect", wrapped)
         if not callable(self._detect) or not isinstance(self.name, str) or not is_name(self.name):
             raise ConfigurationError(
                 "A detector is a folder, a file, or a callable with a plain name (no separators, "

@@ -6,10 +6,9 @@ the library only for its own `evaluate`.
 """
 
 from skyproof.maite.augmentation import CamouflageAugmentation
-from skyproof.maite.datasets import VehicleDataset
+from skyproof.maite.datasets import Target, VehicleDataset
 from skyproof.maite.metric import HiddenVehicles
 from skyproof.maite.models import DetectorModel, ModelDetector
-from skyproof.maite.targets import Target
 
 __all__ = [
     "CamouflageAugmentation",

@@ -13,8 +13,7 @@ from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.folder import load_camouflage
 from skyproof.datasets.dataset import Dataset
 from skyproof.errors import ConfigurationError
-from skyproof.maite.datasets import scene_metadata
-from skyproof.maite.targets import Batch, Target
+from skyproof.maite.datasets import Batch, Target, scene_metadata
 from skyproof.render.dataset import placed_vehicles
 from skyproof.render.renderer import TorchRenderer
 from skyproof.render.settings import RenderSettings
@@ -69,20 +68,17 @@ class CamouflageAugmentation:
     ) -> tuple[Sequence[np.ndarray], Sequence[Target], Sequence[Mapping[str, Any]]]:
         """Renders a batch of a `VehicleDataset` of the same folder again.
 
-        Returns:
-            The same scenes with the camouflage; the metadata name it as `camouflage`.
-
-        Raises:
-            ConfigurationError: an image shows no scene of the dataset.
+        The metadata name the camouflage as `camouflage`. An image of another dataset is refused.
         """
-        images, _, metadata = batch
-        known = zip(images, metadata, strict=True)
-        rendered = [self._rendered(self._scene(image, each), each) for image, each in known]
-        return (
-            [each[0] for each in rendered],
-            [each[1] for each in rendered],
-            [each[2] for each in rendered],
-        )
+        images: list[np.ndarray] = []
+        targets: list[Target] = []
+        every: list[Mapping[str, Any]] = []
+        for given, known in zip(batch[0], batch[2], strict=True):
+            image, target, told = self._rendered(self._scene(given, known), known)
+            images.append(image)
+            targets.append(target)
+            every.append(told)
+        return images, targets, every
 
     def _scene(self, image: Any, known: Mapping[str, Any]) -> Scene:
         scene = self._scenes.get(known["id"])

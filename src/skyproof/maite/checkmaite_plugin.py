@@ -16,9 +16,11 @@ from checkmaite.core.capability_core import (
 from checkmaite.core.report import InlineTextReport
 from pydantic import Field
 
+from skyproof.maite.datasets import batches
 from skyproof.maite.metric import HiddenVehicles
-from skyproof.maite.targets import batches
 from skyproof.results.pairs.outcomes import Match
+
+_Row = dict[str, float | int | None]
 
 
 class SkyproofCamouflageConfig(CapabilityConfigBase):
@@ -43,7 +45,7 @@ class SkyproofCamouflageConfig(CapabilityConfigBase):
 class SkyproofCamouflageOutputs(CapabilityOutputsBase):
     """The result of `HiddenVehicles.compute` for each camouflaged dataset, by its id."""
 
-    hidden: dict[str, dict[str, float | int | None]]
+    hidden: dict[str, _Row]
 
 
 class SkyproofCamouflageRun(CapabilityRunBase[SkyproofCamouflageConfig, SkyproofCamouflageOutputs]):
@@ -68,9 +70,9 @@ class SkyproofCamouflageRun(CapabilityRunBase[SkyproofCamouflageConfig, Skyproof
         rows = [
             (
                 name,
-                _percent(row, "asr"),
+                _percent(row["asr"]),
                 _interval(row, "asr"),
-                _percent(row, "easr"),
+                _percent(row["easr"]),
                 _interval(row, "easr"),
                 row["found_before"],
                 _met(row, threshold),
@@ -162,18 +164,16 @@ def _cell(value: object) -> str:
     return str(value).replace("|", "\\|").replace("\n", " ")
 
 
-def _percent(row: dict[str, float | int | None], key: str) -> str:
-    # Results of an earlier version have no limits of ASR.
-    value = row.get(key)
+def _percent(value: float | None) -> str:
     return "not known" if value is None else f"{100 * value:.0f} %"
 
 
-def _interval(row: dict[str, float | int | None], key: str) -> str:
-    return f"{_percent(row, f'{key}_low')} to {_percent(row, f'{key}_high')}"
+def _interval(row: _Row, key: str) -> str:
+    return f"{_percent(row[f'{key}_low'])} to {_percent(row[f'{key}_high'])}"
 
 
-def _met(row: dict[str, float | int | None], threshold: float) -> str:
-    low, high = row.get("asr_low"), row.get("asr_high")
+def _met(row: _Row, threshold: float) -> str:
+    low, high = row["asr_low"], row["asr_high"]
     if low is None or high is None:
         return "not known"
     if 1 - high >= threshold:

@@ -1,17 +1,61 @@
-"""Our datasets as MAITE datasets; pixels are decoded on demand."""
+"""Our datasets as MAITE datasets, and the data that MAITE's components exchange.
+
+MAITE's protocols are structural, so nothing here imports the library.
+"""
 
 import hashlib
 import json
 import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
+from torch import Tensor
 
 from skyproof.datasets.dataset import Dataset
 from skyproof.datasets.pictures import PictureFile
-from skyproof.maite.targets import LABELS, Target
 from skyproof.scenes.scene import Scene
+
+LABELS = {0: "vehicle"}
+"""Our detectors and datasets have one class."""
+
+Batch = tuple[Sequence[Any], Sequence[Any], Sequence[Mapping[str, Any]]]
+"""Images, targets and metadata, as MAITE's data loaders yield them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """A MAITE object-detection target: the true vehicles of an image, or the detections in it.
+
+    Boxes are pixel xyxy, half-open, origin at the top-left corner; labels are zeros, the one class
+    of `LABELS`; scores are in [0, 1], ones for true vehicles.
+    """
+
+    boxes: Float[np.ndarray, "N 4"]
+    labels: np.ndarray
+    scores: Float[np.ndarray, " N"]
+
+    @classmethod
+    def of(cls, boxes: Float[Tensor, "N 4"], scores: Float[Tensor, " N"] | None = None) -> "Target":
+        """Makes a target of vehicles; without scores they are true ones."""
+        return cls(
+            boxes=boxes.detach().cpu().numpy().astype(np.float32),
+            labels=np.zeros(len(boxes), dtype=np.int64),
+            scores=np.ones(len(boxes), dtype=np.float32)
+            if scores is None
+            else scores.detach().cpu().numpy().astype(np.float32),
+        )
+
+
+def batches(dataset: Any, size: int) -> Iterator[Batch]:
+    """Reads a MAITE dataset batch by batch."""
+    for start in range(0, len(dataset), size):
+        data = [dataset[index] for index in range(start, min(start + size, len(dataset)))]
+        images, targets, metadata = zip(*data, strict=True)
+        yield list(images), list(targets), list(metadata)
 
 
 class VehicleDataset:

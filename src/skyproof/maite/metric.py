@@ -10,7 +10,8 @@ import torch
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.matching import Criterion, match_images
 from skyproof.errors import ConfigurationError
-from skyproof.maite.targets import batches, found_vehicles
+from skyproof.maite.datasets import batches
+from skyproof.maite.models import found_vehicles
 from skyproof.results.pairs.counts import Cell, count_pairs
 from skyproof.results.rows_file import nulls_for_undefined
 from skyproof.results.statistics.contrasts import Group, mean_interval
@@ -104,9 +105,8 @@ class HiddenVehicles:
     ) -> None:
         """Adds the model's results on some changed images.
 
-        Raises:
-            ConfigurationError: an image is not among the unchanged ones, was rendered by another
-                renderer or with other settings, or came before.
+        Refused is an image that is not among the unchanged ones, that was rendered by another
+        renderer or with other settings, or that came before.
         """
         for known in metadata_batch:
             image = str(known["id"])
@@ -131,25 +131,20 @@ class HiddenVehicles:
         self._after |= self._found(pred_batch, target_batch, metadata_batch)
 
     def compute(self) -> dict[str, Any]:
-        """Gives the rates, or None if no vehicle was found before.
+        """Gives the rates, or None if no vehicle was found before, and counts.
 
-        Returns:
-            `easr` with `easr_low` and `easr_high`, its 95 % interval over places and vehicles;
-                `asr`, with such limits, and `er`, whose difference it is; and the counts
-                `vehicles`, `found_before`, `hidden`, `found_only_since` and `places`. Only images
-                with both versions count.
+        `easr` has `easr_low` and `easr_high`, its 95 % interval over places and vehicles, and is
+        the difference of `asr`, with such limits, and `er`. Only images with both versions count.
         """
         vehicles = [vehicle for vehicle in self._before if vehicle[0] in self._changed]
         cells = sorted({self._cells[vehicle] for vehicle in vehicles})
         row_of = {cell: row for row, cell in enumerate(cells)}
         # A vehicle that the change puts out of sight is not found.
-        counts = count_pairs(
-            (
-                (self._cells[vehicle], self._before[vehicle], self._after.get(vehicle, False))
-                for vehicle in vehicles
-            ),
-            row_of,
-        )[None]
+        pairs = (
+            (self._cells[vehicle], self._before[vehicle], self._after.get(vehicle, False))
+            for vehicle in vehicles
+        )
+        counts = count_pairs(pairs, row_of)[None]
         both, lost, gained = (int(number) for number in counts.sum((0, 1)))
         told = {
             "vehicles": len(vehicles),
@@ -187,9 +182,8 @@ class HiddenVehicles:
                 names = [names[index] for index in vehicles]
             ignore = torch.tensor(known.get("ignore", []), dtype=torch.float32).reshape(-1, 4)
             # The matcher only reads labels.
-            labelled = Dataset.of_images(
-                [_NO_PIXELS], [boxes], gsd_m=self._resolution(known), ignore=[ignore]
-            )
+            gsd_m = self._resolution(known)
+            labelled = Dataset.of_images([_NO_PIXELS], [boxes], gsd_m=gsd_m, ignore=[ignore])
             found = found_vehicles(answer, self._labels)
             table = match_images([found], labelled, criterion=self._match)
             reached = table.found_at(self._threshold).tolist()

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 from torch import Tensor
 from torchvision import ops
 
@@ -18,7 +18,7 @@ from skyproof.detectors.detector import LOWEST_SCORE, SUPPRESSION_IOU, Detection
 from skyproof.detectors.inference import detect_all
 from skyproof.detectors.loaded import load_detector
 from skyproof.errors import ConfigurationError
-from skyproof.maite.targets import LABELS, Target, bytes_of, found_vehicles
+from skyproof.maite.datasets import LABELS, Target
 
 
 class DetectorModel:
@@ -53,11 +53,8 @@ class DetectorModel:
         """Finds vehicles; images may differ in size, and large ones are split into windows.
 
         Images are `[3, H, W]`, whole numbers 0 to 255 or floats 0 to 1.
-
-        Raises:
-            ConfigurationError: an image has another shape or other values.
         """
-        images = [bytes_of(image) for image in batch_input]
+        images = [_bytes_of(image) for image in batch_input]
         unknown = [torch.zeros(0, 4)] * len(images)
         shown = Dataset.of_images(images, unknown, gsd_m=self._loaded.card.gsd_m)
         with torch.no_grad():
@@ -143,3 +140,52 @@ def _vehicle_labels(
             f"The MAITE model {name} knows no class {missing!r}; choose from {named}."
         )
     return [int(label) for label, text in known.items() if text in vehicle_classes]
+
+
+def _bytes_of(image: Any) -> UInt8[Tensor, "3 H W"]:
+    """Reads a MAITE image, any array-like `[3, H, W]` of 0 to 255, or of fractions, as bytes."""
+    values = np.asarray(image)
+    if values.ndim != 3 or values.shape[0] != 3:
+        raise ConfigurationError(
+            f"An image is [3, height, width] to skyproof, got {list(values.shape)}; give RGB "
+            "images, channels first."
+        )
+    whole = np.issubdtype(values.dtype, np.integer)
+    most = 255 if whole else 1
+    # NaN is neither below nor above the range, so the test is whether all values lie inside.
+    if values.size and not (values.min() >= 0 and values.max() <= most):
+        raise ConfigurationError(
+            f"Images of {'whole numbers' if whole else 'floats'} are sRGB from 0 to {most} to "
+            f"skyproof, got {values.min():.4g} to {values.max():.4g}; bring them into that range."
+        )
+    if whole:
+        return torch.from_numpy(values.astype(np.uint8))
+    return torch.from_numpy((values.astype(np.float32) * 255).round().astype(np.uint8))
+
+
+def found_vehicles(target: Any, labels: Sequence[int]) -> Detections:
+    """Reads a MAITE model's answer to one image: its possible vehicles, sorted by falling score.
+
+    Scores are `[N]` or `[N, classes]`. Those of several classes exclude each other, because MAITE
+    lets them sum to at most 1, so the scores of all vehicle classes (`labels`) are added up. A
+    ValueError tells of an answer of another shape.
+    """
+    boxes = np.asarray(target.boxes, dtype=np.float32).reshape(-1, 4)
+    scores = np.asarray(target.scores, dtype=np.float32)
+    if not len(boxes):
+        return Detections(torch.zeros(0, 4), torch.zeros(0))
+    if scores.ndim == 2:
+        likely = scores[:, list(labels)].sum(1)
+    else:
+        likely = np.where(np.isin(np.asarray(target.labels), labels), scores, 0)
+    if likely.shape != (len(boxes),):
+        raise ValueError(f"{len(boxes)} boxes with scores of shape {list(scores.shape)}")
+    # Boxes that are surely no vehicle go; NaN stays, so that a later check notices it.
+    kept = ~(likely <= 0)
+    order = np.argsort(-likely[kept], kind="stable")
+    # MAITE allows sums to exceed 1 by rounding.
+    certain = np.where(likely[kept] < 1 + 1e-6, np.minimum(likely[kept], 1), likely[kept])
+    return Detections(
+        torch.from_numpy(boxes[kept][order]),
+        torch.from_numpy(certain[order].astype(np.float32)),
+    )
