@@ -9,6 +9,9 @@ from detector_images import bar_images
 
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.batches import WINDOW_PX, training_batch, window
+from skyproof.detectors.settings import TrainingSettings
+
+PLAIN = TrainingSettings(batch_size=2, jitter=0.0)
 
 
 def test_a_small_image_is_left_alone_and_nothing_is_drawn() -> None:
@@ -96,13 +99,11 @@ def test_a_batch_of_all_sizes_shows_windows_hides_cut_vehicles_and_repeats() -> 
         wide[:, :, left:right] = 250
     small = bar_images(1, seed=0)
     images = Dataset.of_images([wide, small.image(0)], [row, small.boxes[0]], gsd_m=0.125)
-    batch, targets = training_batch(images, 3, batch_size=2, jitter_strength=0.0, seed=5)
-    again, _ = training_batch(images, 3, batch_size=2, jitter_strength=0.0, seed=5)
+    batch, targets = training_batch(images, PLAIN, 5, 3)
+    again, _ = training_batch(images, PLAIN, 5, 3)
     assert batch.shape == (2, 3, WINDOW_PX, WINDOW_PX)
     assert torch.equal(batch, again)
-    assert not torch.equal(
-        batch, training_batch(images, 4, batch_size=2, jitter_strength=0.0, seed=5)[0]
-    )
+    assert not torch.equal(batch, training_batch(images, PLAIN, 5, 4)[0])
     for picture, boxes in zip(batch, targets, strict=True):
         if len(boxes):
             taught = torch.zeros(WINDOW_PX, WINDOW_PX, dtype=torch.bool)
@@ -116,7 +117,7 @@ def test_boxes_without_area_are_not_taught() -> None:
     out_of_sight = torch.tensor([[10.0, 10, 10, 20], [96, 0, 96, 0]])
     with_more = replace(images, boxes=[torch.cat([own, out_of_sight]) for own in images.boxes])
     for data in (images, with_more):
-        batch, targets = training_batch(data, 0, batch_size=2, jitter_strength=1.0, seed=0)
+        batch, targets = training_batch(data, TrainingSettings(batch_size=2), 0, 0)
         if data is images:
             wanted = batch, targets
     assert torch.equal(batch, wanted[0])

@@ -56,10 +56,7 @@ class AnchorAnswers(NamedTuple):
 
 
 class AnchorHead(nn.Module):
-    """One 1x1 convolution per level; boxes are relative to anchors (width and height in pixels).
-
-    Levels are ordered from the finest; `channels` are those of the features.
-    """
+    """One 1x1 convolution per level; boxes are relative to anchors (width and height in pixels)."""
 
     anchors_px: Tensor
 
@@ -95,8 +92,10 @@ class AnchorHead(nn.Module):
             levels.append(raw.permute(0, 1, 3, 4, 2))
         return AnchorAnswers(levels, list(features))
 
-    def boxes(self, answers: AnchorAnswers) -> Float[Tensor, "B K 4"]:
-        """Every anchor's box, pixel xyxy, in the order of `objectness` and `classes`."""
+    def decoded(
+        self, answers: AnchorAnswers
+    ) -> tuple[Float[Tensor, "B K 4"], Float[Tensor, "B K"], Float[Tensor, "B K N"]]:
+        """Every anchor's box (pixel xyxy), and its logits of an object and of each class."""
         found = []
         for number, raw in enumerate(answers.levels):
             centres, sizes = self.centred(raw, number)
@@ -105,16 +104,10 @@ class AnchorHead(nn.Module):
             centres = (centres + cells) * self.strides_px[number]
             halves = sizes * self.strides_px[number] / 2
             corners = torch.cat([centres - halves, centres + halves], dim=-1)
-            found.append(corners.flatten(1, 3))
-        return torch.cat(found, dim=1)
-
-    def objectness(self, answers: AnchorAnswers) -> Float[Tensor, "B K"]:
-        """Gathers the logits that an anchor holds any object."""
-        return torch.cat([raw[..., 4].flatten(1) for raw in answers.levels], dim=1)
-
-    def classes(self, answers: AnchorAnswers) -> Float[Tensor, "B K N"]:
-        """Gathers the logits of each class, given that there is an object."""
-        return torch.cat([raw[..., 5:].flatten(1, 3) for raw in answers.levels], dim=1)
+            each = torch.cat([corners, raw[..., 4:]], dim=-1)
+            found.append(each.flatten(1, 3))
+        every = torch.cat(found, dim=1)
+        return every[..., :4], every[..., 4], every[..., 5:]
 
     def anchors_of(self, level: int) -> Float[Tensor, "A 2"]:
         """A level's anchors in units of its cells."""
@@ -204,8 +197,7 @@ def _positives(
 class AnchorDetector(TrainableDetector):
     """Ultralytics' backbone and neck with the head and loss of the YOLOv5 of 2020 (section 5.3).
 
-    The architecture is checked by `check_layers` and has "anchors" per level. A box gets the best
-    score among the vehicle classes. `size` is for tables.
+    The architecture has "anchors" per level. A box gets the best score among the vehicle classes.
     """
 
     name = "yolov5_anchors"
@@ -241,10 +233,9 @@ class AnchorDetector(TrainableDetector):
 
     def candidates(self, images: Images) -> Candidates:
         """Every anchor's box, scored by objectness times the score of its best vehicle class."""
-        answers = self._answers(images)
-        classes = self._head.classes(answers)[..., self.vehicle_classes].amax(dim=-1)
-        scores = self._head.objectness(answers).sigmoid() * classes.sigmoid()
-        boxes = self._head.boxes(answers)
+        boxes, objectness, classes = self._head.decoded(self._answers(images))
+        likely = classes[..., self.vehicle_classes].amax(dim=-1)
+        scores = objectness.sigmoid() * likely.sigmoid()
         return Candidates(boxes, scores, torch.ones_like(scores, dtype=torch.bool))
 
     @torch.no_grad()

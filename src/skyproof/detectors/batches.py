@@ -10,10 +10,11 @@ from torch.nn import functional
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.detector import PADDING_GREY
 from skyproof.detectors.inference import WINDOW_PX
+from skyproof.detectors.settings import TrainingSettings
 
 
 def training_batch(
-    training: Dataset, step: int, *, batch_size: int, jitter_strength: float, seed: int
+    training: Dataset, settings: TrainingSettings, seed: int, step: int
 ) -> tuple[Float[Tensor, "B 3 H W"], list[Tensor]]:
     """Makes the images and boxes of one step, counted from 0.
 
@@ -24,7 +25,7 @@ def training_batch(
     """
     # Every epoch shuffles the images anew.
     count = len(training)
-    positions = range(step * batch_size, (step + 1) * batch_size)
+    positions = range(step * settings.batch_size, (step + 1) * settings.batch_size)
     orders = {}
     for epoch in {position // count for position in positions}:
         shuffle = torch.Generator().manual_seed((seed + epoch) % 2**63)
@@ -52,7 +53,7 @@ def training_batch(
     batch = torch.full((len(images), 3, height, width), PADDING_GREY)
     for row, image in zip(batch, images, strict=True):
         row[:, : image.shape[1], : image.shape[2]] = image
-    return jitter(batch, jitter_strength, generator=generator), targets
+    return jitter(batch, settings.jitter, generator=generator), targets
 
 
 def window(

@@ -51,17 +51,12 @@ class DetectorCard:
         gsd_m: metres per pixel of its input images.
         image_size_px: height and width of the first training image, at most those of a training
             window; those of the first validation image for an imported detector.
-        parameters: number of trained parameters.
         training: settings and progress, as `train` writes them; empty for an imported one.
         validation: "ap_centre_1m", "ap_iou_50" and "f1" (centre), each 0 to 1.
         trained_on: short description of the training images; empty if not known.
         threshold_from: source of the threshold, if it was frozen anew.
         brought: blueprint of an imported detector; else None.
-        weights_sha256: digest of the weights that the card was stored with; empty before, and for
-            a black-box detector.
-
-    Raises:
-        ConfigurationError: a value out of its range, such as a threshold in percent.
+        weights_sha256: digest of the stored weights; empty before, and for a black-box detector.
     """
 
     format: int = field(default=_FORMAT, kw_only=True)
@@ -116,12 +111,7 @@ def write_card(path: Path, card: DetectorCard) -> None:
 
 
 def read_card(folder: Path) -> DetectorCard:
-    """Reads the card of a detector folder, or of a detector that comes with skyproof.
-
-    Raises:
-        StoredFileError: `detector.json` is missing, damaged, or of another format, or the folder
-            is a file.
-    """
+    """Reads the card of a detector folder, or of a detector that comes with skyproof."""
     place = detector_folder(folder)
     if place.is_file():
         raise StoredFileError(

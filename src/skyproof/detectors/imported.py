@@ -44,9 +44,8 @@ _CLASS_ROWS = {
 class ImportedDetector(TrainableDetector):
     """A network with imported weights: frozen, attacked through its loss against an empty truth.
 
-    Images are resampled to the network's resolution with anti-aliasing, and boxes back to that of
-    the images. The best vehicle class gives the score, and suppression runs over all vehicle
-    classes together.
+    Images are resampled to the network's resolution with anti-aliasing, and boxes back. The best
+    vehicle class gives the score, and suppression runs over all vehicle classes together.
     """
 
     size = "brought"
@@ -55,8 +54,7 @@ class ImportedDetector(TrainableDetector):
         super().__init__()
         self.name = name
         self.image_scale = float(blueprint.image_scale)
-        # The libraries draw weights, which are replaced at once: this must not change the program's
-        # own draws.
+        # The libraries draw weights, which must not change the program's own draws.
         with torch.random.fork_rng(devices=[]):
             self.network = _network(blueprint)
 

@@ -16,13 +16,12 @@ LARGEST_WHOLE_PX = 1024
 """Images with a longer side are split into windows."""
 
 WINDOW_PX = 384
+"""The paper's tile: a window of 48 m holds at most the 100 vehicles that a detector can return."""
+
+# Two cars long.
 _WINDOW_OVERLAP_PX = 96
-"""The paper's tile: a window of 48 m holds at most the 100 vehicles that a detector can return. The
-overlap is two cars long."""
-
+# Two windows place the same vehicle differently by less than this.
 _SEAM_PX = 8
-"""Two windows place the same vehicle differently by less than this."""
-
 _BATCH_SIZE = 16
 # A large image leaves less memory.
 _WINDOW_BATCH_SIZE = 8

@@ -24,9 +24,6 @@ def build_detector(name: str, size: str, *, generator: torch.Generator) -> Train
     """Builds an untrained detector on the CPU; its initial weights depend on `generator` alone.
 
     `size` is "slim" (about 1 to 2.5 M parameters, for a CPU) or "full" (9 to 43 M, for a GPU).
-
-    Raises:
-        ConfigurationError: another name or size, or the yolo extra is missing.
     """
     seed = int(torch.randint(2**62, (1,), generator=generator))
     # The libraries draw initial weights from torch's global generator: it is lent a seed here and

@@ -16,11 +16,7 @@ REFERENCE_FOLDER = Path(__file__).with_name("reference")
 
 
 def reference_folder(name: str) -> Path:
-    """Returns the folder of a detector that ships with skyproof: a detector folder like any other.
-
-    Raises:
-        ConfigurationError: there is none of that name.
-    """
+    """Returns the folder of a detector that ships with skyproof; refuses the name of another."""
     if name not in REFERENCE_DETECTORS:
         raise ConfigurationError(
             f"{name[:100]!r} does not come trained, only {' and '.join(REFERENCE_DETECTORS)} do; "

@@ -20,8 +20,7 @@ class CentreAlign(ops.MultiScaleRoIAlign):
     It gives the same result as torchvision's `MultiScaleRoIAlign` with `sampling_ratio=1`, whose
     backward pass adds channel by channel and takes 40 % of an attack's step with the slim Faster
     R-CNN on a CPU. Here a sample is a weighted sum of four rows of channels, all at once, and so is
-    its gradient. The stride of each level is twice the one before; `output_size` is the number of
-    bins along each side.
+    its gradient. `output_size` is the number of bins along each side.
     """
 
     def __init__(self, strides_px: Sequence[float], output_size: int) -> None:
@@ -35,10 +34,9 @@ class CentreAlign(ops.MultiScaleRoIAlign):
         boxes: list[Float[Tensor, "_ 4"]],
         image_shapes: list[tuple[int, int]],
     ) -> Float[Tensor, "K C S S"]:
-        """Samples every region (pixel xyxy) on the level that fits its size.
+        """Samples every region (pixel xyxy) on the level that fits its size, the finest first.
 
-        The finest level comes first. No gradient flows to the regions. `image_shapes` is not
-        needed, as the strides are known.
+        No gradient flows to the regions. As the strides are known, `image_shapes` is not needed.
         """
         pyramid = list(x.values())
         side, _ = self.output_size

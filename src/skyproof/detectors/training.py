@@ -105,16 +105,8 @@ def train(
         if (folder / "detector.json").exists():
             return _finished(detector, folder, identity)
         loop.resume()
-        batches = made_ahead(
-            partial(
-                training_batch,
-                training,
-                batch_size=settings.batch_size,
-                jitter_strength=settings.jitter,
-                seed=seed,
-            ),
-            range(loop.step, settings.steps),
-        )
+        make = partial(training_batch, training, settings, seed)
+        batches = made_ahead(make, range(loop.step, settings.steps))
         for step, (images, targets) in zip(loop, batches, strict=True):
             images = images.to(device).contiguous(memory_format=torch.channels_last)
             loss = detector.loss(images, [boxes.to(device) for boxes in targets]).mean()

@@ -40,12 +40,8 @@ def condition_panels(outcomes: Sequence[Outcome], *, generator: np.random.Genera
     if not outcomes:
         return []
     labellers: list[tuple[str, Callable[[Outcome], str], list[str] | None]] = [
-        _numeric(
-            "Sun above the horizon",
-            [o.sun_elevation_deg for o in outcomes],
-            lambda o: o.sun_elevation_deg,
-        ),
-        _numeric("Camera off the vertical", [o.tilt_deg for o in outcomes], lambda o: o.tilt_deg),
+        _numeric("Sun above the horizon", outcomes, lambda o: o.sun_elevation_deg),
+        _numeric("Camera off the vertical", outcomes, lambda o: o.tilt_deg),
         ("Vehicle's heading and the sun", _heading_label, [label for _, label in _HEADINGS]),
         ("Body type", lambda o: body_name(o.body_type).replace(" ", "\n"), None),
     ]
@@ -60,23 +56,19 @@ def condition_panels(outcomes: Sequence[Outcome], *, generator: np.random.Genera
         for outcome in outcomes:
             groups.setdefault(labeller(outcome), []).append(outcome)
         names = order or sorted(groups)
-        bins = [
-            Bin(
-                name,
-                len({(o.scene, o.placement) for o in groups[name]}),
-                _rate(groups[name], generator),
-            )
-            for name in names
-            if groups[name]
-        ]
+        bins = []
+        for name in filter(groups.get, names):
+            vehicles = len({(o.scene, o.placement) for o in groups[name]})
+            bins.append(Bin(name, vehicles, _rate(groups[name], generator)))
         panels.append(Panel(title, bins, overall))
     return panels
 
 
 def _numeric(
-    title: str, values: Sequence[float], read: Callable[[Outcome], float]
+    title: str, outcomes: Sequence[Outcome], read: Callable[[Outcome], float]
 ) -> tuple[str, Callable[[Outcome], str], list[str]]:
     """Cuts three bins of about equally many vehicles, at whole degrees so that labels are exact."""
+    values = [read(outcome) for outcome in outcomes]
     ends = (math.floor(min(values)), math.ceil(max(values)))
     # Where values are alike a cut may lie on an end, beyond which there is nothing.
     cuts = sorted({round(float(cut)) for cut in np.quantile(values, [1 / 3, 2 / 3])} - {*ends})

@@ -66,8 +66,7 @@ class Results:
         counts: counted outcomes that the rows come from.
         baselines: baseline of each detector on each set of images without camouflage.
         config, environment, timings: records of the run.
-        cards: cards of the detectors, by name.
-        records: records of the camouflages, by folder.
+        cards, records: cards of the detectors by name, records of the camouflages by folder.
         practicality: practicality by camouflage without repeat.
     """
 

@@ -5,7 +5,7 @@ part one for each of its attributes ("best_threshold"), null without such a part
 """
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from functools import cache
 from pathlib import Path
@@ -37,11 +37,7 @@ def write_rows(path: Path, rows: Iterable[object]) -> None:
 
 
 def read_rows(path: Path, kind: type[T], remedy: str) -> list[T]:
-    """Reads rows of a dataclass with limits on its fields; numbers may be undefined.
-
-    Raises:
-        StoredFileError: the file is missing or of another form; gives the `remedy`.
-    """
+    """Reads rows of a dataclass with limits on its fields; numbers may be undefined."""
     form: Any = kind
     document = read_document(path, _document(form), remedy)
     return [row_of(form, row) for row in document.rows]
@@ -51,28 +47,25 @@ def flat_row(row: object) -> dict[str, Any]:
     """Gives a row as JSON values."""
     kind: Any = type(row)
     values: dict[str, Any] = {}
-    for name, columns in _parts(kind).items():
+    for name, (part, columns) in _fields(kind).items():
         value = getattr(row, name)
-        if columns is None:
-            values[name] = value
-        else:
-            for attribute, column in columns.items():
-                values[column] = None if value is None else getattr(value, attribute)
+        for attribute, column, _ in columns:
+            values[column] = value if part is None or value is None else getattr(value, attribute)
     return nulls_for_undefined(values)
 
 
 def row_of(kind: Any, stored: msgspec.Struct) -> Any:
     """Makes a row of a kind of what was read by its `row_form`."""
     values: dict[str, Any] = {}
-    for name, columns in _parts(kind).items():
-        if columns is None:
-            values[name] = _filled(getattr(stored, name))
-            continue
-        part = _part(limits_of(kind)[name])
-        parts = {attribute: getattr(stored, column) for attribute, column in columns.items()}
-        missing = part is not Interval and set(parts.values()) == {None}
-        filled = {attribute: _filled(value) for attribute, value in parts.items()}
-        values[name] = None if missing else part(**filled)
+    for name, (part, columns) in _fields(kind).items():
+        given = {attribute: getattr(stored, column) for attribute, column, _ in columns}
+        filled = {key: math.nan if value is None else value for key, value in given.items()}
+        if part is None:
+            (values[name],) = filled.values()
+        elif part is not Interval and set(given.values()) == {None}:
+            values[name] = None
+        else:
+            values[name] = part(**filled)
     return kind(**values)
 
 
@@ -81,9 +74,9 @@ def row_form(kind: Any) -> Any:
     """Gives the form of a row's JSON values: each number that is a fraction may be null."""
     given: list[tuple[Any, ...]] = []
     for each in fields(kind):
-        hint = limits_of(kind)[each.name]
         default = () if each.default is MISSING else (each.default,)
-        given += [(name, _nullable(own), *default) for name, own in _hints(each.name, hint)]
+        _, columns = _fields(kind)[each.name]
+        given += [(column, _nullable(hint), *default) for _, column, hint in columns]
     form: Any = msgspec.defstruct(kind.__name__, given, forbid_unknown_fields=True, kw_only=True)
     return form
 
@@ -95,36 +88,27 @@ def _document(kind: Any) -> Any:
 
 
 @cache
-def _parts(kind: Any) -> dict[str, dict[str, str] | None]:
-    """Per field of a row None where it is one column, else the columns of its attributes."""
-    return {each.name: _columns(each.name, limits_of(kind)[each.name]) for each in fields(kind)}
+def _fields(kind: Any) -> dict[str, tuple[Any, list[tuple[str, str, Any]]]]:
+    """Per field of a row the dataclass that it holds, if any, and its columns.
 
-
-def _columns(name: str, hint: Any) -> dict[str, str] | None:
-    part = _part(hint)
-    if part is Interval:
-        return {"estimate": name, "low": f"{name}_low", "high": f"{name}_high"}
-    return part and {each.name: f"{name}_{each.name}" for each in fields(part)}
-
-
-def _hints(name: str, hint: Any) -> Iterator[tuple[str, Any]]:
-    """The columns of a field, each with its limits; an interval's are those of all its numbers."""
-    part = _part(hint)
-    for attribute, column in (_columns(name, hint) or {"": name}).items():
-        if part is Interval:
-            yield column, Annotated[(float, *hint.__metadata__)]
+    A column has its attribute, name and limits; an interval's limits are those of all its numbers.
+    """
+    found: dict[str, tuple[Any, list[tuple[str, str, Any]]]] = {}
+    for name, hint in limits_of(kind).items():
+        # Of `Annotated[Interval, ...]` and of `BestF1 | None`.
+        part: Any = next((each for each in (hint, *get_args(hint)) if is_dataclass(each)), None)
+        if part is None:
+            columns = [("", name, hint)]
+        elif part is Interval:
+            number = Annotated[(float, *hint.__metadata__)]
+            ends = {"estimate": name, "low": f"{name}_low", "high": f"{name}_high"}
+            columns = [(attribute, column, number) for attribute, column in ends.items()]
         else:
-            yield column, hint if part is None else limits_of(part)[attribute]
-
-
-def _part(hint: Any) -> Any:
-    """The dataclass that a field holds, or None: of `Annotated[Interval, ...]`, `BestF1 | None`."""
-    return next((kind for kind in (hint, *get_args(hint)) if is_dataclass(kind)), None)
+            limits = limits_of(part)
+            columns = [(attribute, f"{name}_{attribute}", own) for attribute, own in limits.items()]
+        found[name] = part, columns
+    return found
 
 
 def _nullable(hint: Any) -> Any:
     return hint | None if getattr(hint, "__origin__", hint) is float else hint
-
-
-def _filled(value: Any) -> Any:
-    return math.nan if value is None else value

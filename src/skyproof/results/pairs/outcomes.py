@@ -44,16 +44,12 @@ class Outcome:
         vehicle, body_type: fleet id ("saloon-0017") and its part before the last hyphen.
         background: background tile of the scene, the cluster of the bootstrap.
         detected_original, detected_adversarial: matched by a detection at or above the frozen
-            threshold.
-        score_original, score_adversarial: score of the matched detection at any threshold; 0
-            without one.
-        distance_original_m, distance_adversarial_m: distance of the two centres in metres; nan
-            without a match.
+            threshold; the scores are at any threshold, and 0 without a match.
+        distance_original_m, distance_adversarial_m: of the two centres; nan without a match.
         visible_fraction: visible share of the vehicle; nan if unknown.
         tilt_deg: angle of the camera off the vertical.
         heading_to_sun_deg: angle between heading and sun azimuth, folded to [0, 180]; 0 is driving
             into the sun.
-        condition: weather ("clear", "haze", ...).
     """
 
     scene: Name
