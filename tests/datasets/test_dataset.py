@@ -127,8 +127,7 @@ def test_visible_fractions_follow_the_boxes(tmp_path):
 def test_who_rendered_it(tmp_path):
     _write(tmp_path)
     data = Dataset.open(tmp_path)
-    # Datasets of before there was a choice do not say it.
-    assert (data.renderer, data.rendering) == ("torch", {})
+    assert (data.renderer, data.rendering) == ("", {})
     _write(tmp_path, {"renderer": "cycles", "rendering": {"samples": 32}})
     data = Dataset.open(tmp_path)
     assert (data.renderer, data.rendering) == ("cycles", {"samples": 32})

@@ -11,8 +11,7 @@ import pytest
 import torch
 
 from skyproof.datasets.coco import Annotation, CocoWriter
-from skyproof.datasets.dataset import Dataset
-from skyproof.datasets.yolo import write_yolo
+from skyproof.datasets.dataset import Dataset, write_yolo
 from skyproof.imagery.frames import read_frames_folder
 
 

@@ -17,8 +17,9 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from skyproof.datasets.annotations import (
+from skyproof.datasets.coco import (
     ANNOTATIONS,
+    CATEGORY,
     REMEDY,
     AnnotationRow,
     ImageRow,
@@ -26,11 +27,18 @@ from skyproof.datasets.annotations import (
     is_within,
     read_annotations,
 )
-from skyproof.datasets.coco import DESCRIPTION
-from skyproof.datasets.pictures import Boxes, Picture, PictureFile, PictureInMemory, Pixels
+from skyproof.datasets.pictures import Boxes, Picture, PictureInMemory, Pixels
 from skyproof.errors import StoredFileError
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.scene import Scene, read_scenes
+
+_YOLO_DATA = f"""\
+# One dataset serves both splits; to validate on another, name its images folder.
+train: images
+val: images
+names:
+  0: {CATEGORY["name"]}
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,13 +50,11 @@ class Dataset:
     Attributes:
         pictures: the images; `image` and `images` decode them.
         boxes: `[n, 4]` true vehicles of each image, pixel xyxy.
-        ignore: `[m, 4]` regions of each image that are not scored: other vehicle classes,
-            unlabelled borders.
+        ignore: `[m, 4]` regions of each image that are not scored.
         ids: name of each image.
         gsd_m: metres per pixel of all images.
         visible_fractions: `[n]` visible share of each vehicle's pixels, by image; nan if not known.
         folder: folder of the images; None if they come from several folders or from memory.
-        info: the annotation file's facts about the whole set; None without a file.
     """
 
     pictures: Sequence[Picture]
@@ -71,17 +77,14 @@ class Dataset:
                 image outside the folder, or a vehicle outside its image.
         """
         folder = Path(folder)
-        document, files = read_annotations(folder)
+        document, pictures = read_annotations(folder)
         rows = document.rows_by_image
         vehicles = [[row for row in of_image if not row.iscrowd] for of_image in rows]
         for image, of_image in zip(document.images, vehicles, strict=True):
             _refuse_outside(folder, image, of_image)
         crowds = [[row for row in of_image if row.iscrowd] for of_image in rows]
         return cls(
-            pictures=[
-                PictureFile(file, (image.width, image.height))
-                for file, image in zip(files, document.images, strict=True)
-            ],
+            pictures=pictures,
             boxes=[boxes_of(of_image) for of_image in vehicles],
             ignore=[boxes_of(of_image) for of_image in crowds],
             ids=[image.scene_id for image in document.images],
@@ -101,10 +104,10 @@ class Dataset:
         ignore: Sequence[Float[Tensor, "_m 4"]] | None = None,
         ids: Sequence[str] | None = None,
     ) -> Dataset:
-        """Makes a dataset of images in memory.
+        """Makes a dataset of images in memory, `[3, H, W]` sRGB bytes of any sizes.
 
-        Images are `[3, H, W]` sRGB bytes of any sizes. `boxes` holds the true vehicles and `ignore`
-        the regions that are not scored, pixel xyxy. Without `ids`, images are numbered.
+        `boxes` holds the true vehicles and `ignore` the regions that are not scored, pixel xyxy.
+        Without `ids`, images are numbered.
         """
         count = len(images)
         return cls(
@@ -139,11 +142,7 @@ class Dataset:
         return sum(width * height for width, height in self.sizes_px) * self.gsd_m**2
 
     def image(self, index: int) -> Pixels:
-        """Decodes one image, as sRGB bytes.
-
-        Raises:
-            StoredFileError: the file is missing, damaged or of another size than stated.
-        """
+        """Decodes one image, as sRGB bytes; StoredFileError for a file damaged or missing."""
         return self.pictures[index].read()
 
     def images(self, indices: Iterable[int]) -> list[UInt8[Tensor, "3 _H _W"]]:
@@ -152,11 +151,7 @@ class Dataset:
 
     @cached_property
     def scenes(self) -> list[Scene]:
-        """The scenes that the images show, in the order of the images.
-
-        Raises:
-            StoredFileError: this set has no `scenes.jsonl`, or a damaged one.
-        """
+        """The scenes that the images show; StoredFileError without a whole `scenes.jsonl`."""
         if self.folder is None:
             raise StoredFileError("Images in memory have no scenes; give a rendered dataset.")
         return read_scenes(self.folder / "scenes.jsonl")
@@ -164,11 +159,7 @@ class Dataset:
     @property
     def renderer(self) -> str:
         """The renderer of the images: "torch" or "cycles"; empty if they are not rendered."""
-        # Datasets older than the choice of renderer only state that they are scenes.
-        if self.info is None:
-            return ""
-        default = "torch" if self.info.description == DESCRIPTION else ""
-        return default if self.info.renderer is None else self.info.renderer
+        return "" if self.info is None else self.info.renderer or ""
 
     @property
     def rendering(self) -> dict[str, Any]:
@@ -177,14 +168,11 @@ class Dataset:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the images' names, sizes, labels and making, not of their pixels.
-
-        Sets of one digest teach a detector the same. The folder's place does not change it.
-        """
-        images = zip(self.ids, self.pictures, self.boxes, self.ignore, strict=True)
+        """SHA-256 of the images' names, sizes, labels and making, not of their pixels or place."""
+        images = zip(self.ids, self.sizes_px, self.boxes, self.ignore, strict=True)
         told = [
-            [name, picture.size_px, boxes.tolist(), ignored.tolist()]
-            for name, picture, boxes, ignored in images
+            [name, size_px, boxes.tolist(), ignored.tolist()]
+            for name, size_px, boxes, ignored in images
         ]
         about = [self.gsd_m, self.renderer, self.rendering, told]
         if self.info is not None and self.info.camouflage:
@@ -194,14 +182,10 @@ class Dataset:
 
     @property
     def origin(self) -> str:
-        """A short description of the set: its name, and its renderer or source imagery.
-
-        It is empty if the images come from several folders or from memory.
-        """
+        """The set's name, and its renderer or source imagery; empty without one folder."""
         if self.folder is None or self.info is None:
             return ""
-        name = self.folder.resolve().name
-        above = self.folder.resolve().parent
+        above, name = self.folder.resolve().parent, self.folder.resolve().name
         if self.info.renderer is None and (above / "index.json").exists():
             # The set is a split of a tiled folder.
             tiles = BackgroundSet.open(above).tiles(name)
@@ -243,3 +227,24 @@ def boxes_of(rows: Sequence[AnnotationRow]) -> Boxes:
 def _visible_fractions(rows: Sequence[AnnotationRow]) -> Tensor:
     known = [math.nan if row.visible_fraction is None else row.visible_fraction for row in rows]
     return torch.tensor(known, dtype=torch.float32)
+
+
+def write_yolo(folder: Path) -> None:
+    """Writes `labels/*.txt` and `data.yaml` for Ultralytics beside a dataset's images.
+
+    The format has no ignore regions, so they are left out, as are vehicles out of sight.
+    """
+    dataset = Dataset.open(folder)
+    labels = folder / "labels"
+    labels.mkdir()
+    for name, (width, height), boxes in zip(
+        dataset.ids, dataset.sizes_px, dataset.boxes, strict=True
+    ):
+        lines = []
+        for left, top, right, bottom in boxes.tolist():
+            if right > left and bottom > top:
+                centre = ((left + right) / 2 / width, (top + bottom) / 2 / height)
+                parts = (*centre, (right - left) / width, (bottom - top) / height)
+                lines.append("0 " + " ".join(f"{part:.7f}" for part in parts) + "\n")
+        (labels / f"{name}.txt").write_text("".join(lines), encoding="utf-8")
+    (folder / "data.yaml").write_text(_YOLO_DATA, encoding="utf-8")

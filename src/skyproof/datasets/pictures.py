@@ -12,9 +12,9 @@ from jaxtyping import Float, UInt8
 from PIL import Image
 from torch import Tensor
 
-from skyproof.datasets.annotations import REMEDY
 from skyproof.pictures import read_pixels
 
+REMEDY = "copy the whole folder again, or make the dataset again"
 Pixels = UInt8[Tensor, "3 H W"]
 """A picture of sRGB bytes."""
 Boxes = Float[Tensor, "_n 4"]
@@ -37,15 +37,12 @@ class Picture(Protocol):
     @property
     def size_px(self) -> tuple[int, int]:
         """Width and height, known without decoding."""
-        ...
 
     def read(self) -> Pixels:
         """Decodes the whole picture, as sRGB bytes."""
-        ...
 
     def windows(self, windows: Sequence[Window]) -> Iterator[UInt8[Tensor, "3 _h _w"]]:
         """Decodes once and yields one window after the other, as sRGB bytes."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,15 +53,12 @@ class PictureInMemory:
 
     @property
     def size_px(self) -> tuple[int, int]:
-        """Width and height."""
         return self.image.shape[2], self.image.shape[1]
 
     def read(self) -> Pixels:
-        """Gives the image itself, not a copy."""
         return self.image
 
     def windows(self, windows: Sequence[Window]) -> Iterator[UInt8[Tensor, "3 _h _w"]]:
-        """Yields views of the image."""
         for left, top, width, height in windows:
             yield self.image[:, top : top + height, left : left + width]
 
@@ -77,11 +71,9 @@ class PictureFile:
     size_px: tuple[int, int]
 
     def read(self) -> Pixels:
-        """Decodes the file."""
         return tensor_of(read_pixels(self.path, REMEDY, size_px=self.size_px))
 
     def windows(self, windows: Sequence[Window]) -> Iterator[UInt8[Tensor, "3 _h _w"]]:
-        """Decodes the file and yields its windows."""
         return PictureInMemory(self.read()).windows(windows)
 
 
@@ -97,8 +89,7 @@ Made = TypeVar("Made")
 def made_ahead(make: Callable[[Item], Made], items: Iterable[Item]) -> Iterator[Made]:
     """Yields `make(item)` for each item in order, and makes the next one in a thread meanwhile.
 
-    At most two results exist at a time. An error of `make` is raised in place of its result. `make`
-    must not depend on the consumer's use of earlier results.
+    At most two results exist at a time. An error of `make` is raised in place of its result.
     """
     with ThreadPoolExecutor(max_workers=1, thread_name_prefix="ahead") as maker:
         waiting: Future[Made] | None = None

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from skyproof.datasets.coco import Annotation, CocoWriter
-from skyproof.datasets.yolo import write_yolo
+from skyproof.datasets.dataset import write_yolo
 from skyproof.files import finished_folder
 from skyproof.geometry.projection import project, rotate_about_vertical
 from skyproof.render.frames import Frames, Renderer

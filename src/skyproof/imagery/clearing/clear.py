@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from skyproof.datasets.annotations import ANNOTATIONS, drop_images
+from skyproof.datasets.coco import ANNOTATIONS, drop_images
 from skyproof.datasets.dataset import boxes_of
 from skyproof.datasets.pictures import Boxes, Pixels
 from skyproof.documents import read_document

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from skyproof.datasets.annotations import ANNOTATIONS, AnnotationRow, read_annotations
+from skyproof.datasets.coco import ANNOTATIONS, AnnotationRow, read_annotations
 from skyproof.datasets.pictures import Boxes, Pixels
 from skyproof.imagery.labels.label import Point
 from skyproof.scenes.places import HeadingFrom, RemovedVehicle

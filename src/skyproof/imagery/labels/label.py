@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import torch
 
-from skyproof.datasets.annotations import is_within
+from skyproof.datasets.coco import is_within
 from skyproof.datasets.pictures import Boxes
 from skyproof.errors import ImageryError
 
