@@ -16,8 +16,7 @@ from skyproof.errors import StoredFileError
 from skyproof.files import write_json
 from skyproof.layout import Layout
 from skyproof.reproduction.plan import reproduction_plan
-from skyproof.reproduction.preset import read_preset
-from skyproof.reproduction.world import RENDERED
+from skyproof.reproduction.preset import RENDERED, read_preset
 from skyproof.storage import read_tensors
 from tests.barely_trained import count_everything
 

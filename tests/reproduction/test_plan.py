@@ -22,10 +22,9 @@ from skyproof.ranges import Fraction
 from skyproof.reproduction.__main__ import COMMANDS
 from skyproof.reproduction.jobs import Jobs
 from skyproof.reproduction.plan import Plan, plan_of_run, reproduction_plan
-from skyproof.reproduction.preset import PRESETS, Preset, read_preset
+from skyproof.reproduction.preset import PRESETS, Preset, WorldSizes, read_preset
 from skyproof.reproduction.snakemake import SNAKEFILE, output_of, shell_line
 from skyproof.reproduction.steps import command_step
-from skyproof.reproduction.world import WorldSizes
 from skyproof.scenes.weather import CONDITIONS
 
 TINY_FILE = Path(__file__).with_name("tiny.json")

@@ -257,11 +257,9 @@ def _originals(run: Reproduction) -> list[Block]:
 def _original(run: Reproduction, detector: str, renderer: str) -> tuple[str, ...]:
     """The AP and the share of vehicles found; nothing where nothing was scored."""
     for key, counts in run.results.counts.series.items():
+        # Any camouflage will do: all are compared with the same original images.
         if key[1:] == (renderer, detector, MAIN_MATCH):
-            # Any camouflage will do: all are compared with the same original images.
-            name = CamouflageName.read(key.camouflage).pooled
-            row = run.results.row(name, detector, renderer=renderer)
             vehicles, both, lost, _ = counts.sum(axis=0).tolist()
-            precision = number(None if row is None else 100 * row.ap_original)
-            return precision, number(100 * (both + lost) / vehicles if vehicles else None)
+            found = 100 * (both + lost) / vehicles if vehicles else None
+            return number(run.original_ap(detector, renderer)), number(found)
     return ()

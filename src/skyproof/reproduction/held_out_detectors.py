@@ -17,8 +17,7 @@ from skyproof.errors import ConfigurationError, RunFolderError
 from skyproof.files import drop_empty_folder, finished_folder
 from skyproof.layout import Layout
 from skyproof.reproduction.layout import PaperLayout
-from skyproof.reproduction.preset import Preset
-from skyproof.reproduction.world import GSD_M
+from skyproof.reproduction.preset import GSD_M, Preset
 from skyproof.results.precheck import PRECHECK_FILE
 from skyproof.words import detector_name
 

@@ -14,9 +14,8 @@ from skyproof.errors import ConfigurationError, RunFolderError
 from skyproof.reproduction.held_out_detectors import stored_tables
 from skyproof.reproduction.jobs import Jobs
 from skyproof.reproduction.layout import PaperLayout
-from skyproof.reproduction.preset import Preset
+from skyproof.reproduction.preset import RENDERED, Preset, Rendered
 from skyproof.reproduction.steps import Steps
-from skyproof.reproduction.world import RENDERED, Rendered
 from skyproof.seeds import next_seed
 
 _MOST_STEPS = 20_000

@@ -18,9 +18,20 @@ from skyproof.detectors.settings import Size, TrainingChanges
 from skyproof.documents import check_document, read_document
 from skyproof.errors import ConfigurationError
 from skyproof.imagery.settings import tiling_for_images
-from skyproof.ranges import Count, ImageSide, Seed, WholeNumber
-from skyproof.reproduction.world import WorldSizes
+from skyproof.ranges import (
+    Count,
+    Fraction,
+    GroundResolution,
+    ImageSide,
+    Seed,
+    WholeNumber,
+    check_ranges,
+)
+from skyproof.scenes.places import Places
 from skyproof.scenes.sensor import BlurChoice
+from skyproof.scenes.settings import SceneSettings
+from skyproof.scenes.weather import CONDITIONS, MIXED_CONDITIONS
+from skyproof.vehicles.settings import PaintVariety
 
 PRESETS = {
     name: Path(__file__).with_name(f"{name}.json")
@@ -28,6 +39,19 @@ PRESETS = {
 }
 """The paper's tables in small and in full, the training of the shipped detectors, and the headline
 attacks on three trainings of each detector."""
+
+GSD_M = 0.125
+
+Rendered = Literal["train", "validation", "test", "empty", "weather"]
+"""The splits that are rendered: all but "attack", whose scenes are drawn during an attack, test
+ground without vehicles, and the test scenes in weather."""
+
+RENDERED: tuple[Rendered, ...] = ("train", "validation", "test")
+"""The splits that a run with a training renders."""
+
+MOST_SCENES = 200
+"""Scenes, the first, at whose vehicles features are stored: some 600 vehicles, as many as a picture
+of points can show. Scenes are drawn independently, so the first are a fair sample."""
 
 Known = Literal["retinanet", "faster_rcnn", "yolov5", "yolov5_anchors"]
 _Magnitude = Annotated[float, Meta(gt=0, le=1)]
@@ -37,6 +61,69 @@ _Word = Annotated[str, Meta(max_length=100)]
 _Textures = Annotated[tuple[_Word, ...], Meta(max_length=50)]
 _Text = Annotated[str, Meta(max_length=300)]
 _REMEDY = "start from quick.json or paper.json"
+
+
+@dataclass(frozen=True)
+class WorldSizes:
+    """How much ground, how many vehicles and scenes a run has.
+
+    Attributes:
+        gsd_m: metres per pixel of ground and images.
+        tiles: drawn ground tiles per split (train, validation, attack, test).
+        vehicles: vehicles in the fleet of each split.
+        validation_images: number of images that choose weights and threshold.
+        test_images: number of images that are attacked and reported.
+        training_vehicles: most vehicles in a training image; others have 1 to 5.
+        training_places: where vehicles stand in training images: uniform, removed or drivable.
+        test_places: where they stand in validation, attack and test images.
+        parked_share: share of the training images with a row of parked vehicles, if places are
+            uniform.
+        training_conditions: weather and light of the training images, each equally likely.
+        paints, shapes: paints of the vehicles in training and validation images, and the share of
+            them with a random shape.
+    """
+
+    gsd_m: GroundResolution = GSD_M
+    # Detectors take no smaller ones.
+    image_px: Annotated[int, Meta(ge=96, le=16_384)] = 192
+    tiles: tuple[Count, Count, Count, Count] = (64, 12, 24, 40)
+    vehicles: tuple[Count, Count, Count, Count] = (128, 32, 32, 32)
+    training_images: Count = 2000
+    validation_images: Count = 120
+    test_images: Count = 120
+    training_vehicles: Count = 7
+    training_places: Places = "uniform"
+    test_places: Places = "uniform"
+    parked_share: Fraction = 0.5
+    training_conditions: tuple[str, ...] = MIXED_CONDITIONS
+    paints: PaintVariety = field(default_factory=PaintVariety)
+    shapes: Fraction = 0.25
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+        # Refuses an image that no vehicle fits into, and more vehicles than a scene may have.
+        for scenes in (self.scenes("train"), self.scenes("test")):
+            scenes.half_m(self.gsd_m)
+
+    def scenes(self, split: Rendered) -> SceneSettings:
+        """Returns the settings of a split's scenes."""
+        usual = SceneSettings(size_px=self.image_px, places=self.test_places)
+        if split == "train":
+            # Some training images are empty, so that detectors see ground alone, too.
+            return replace(
+                usual,
+                vehicles_minimum=0,
+                vehicles_maximum=self.training_vehicles,
+                places=self.training_places,
+                parked_share=self.parked_share if self.training_places == "uniform" else 0.0,
+                conditions=self.training_conditions,
+            )
+        if split == "empty":
+            return replace(usual, vehicles_minimum=0, vehicles_maximum=0)
+        if split == "weather":
+            conditions = tuple(name for name in CONDITIONS if name != "clear")
+            return replace(usual, conditions=conditions)
+        return usual
 
 
 @dataclass(frozen=True)
@@ -55,12 +142,8 @@ class Preset:
     Attributes:
         seed: seed of everything; repeat k of an attack takes seed + k.
         detectors: detectors that are attacked together and scored one by one (section 3.2).
-        size: size of the detectors, slim or full.
-        world: ground, vehicles and scenes.
         training: changes of `TrainingSettings` per detector that the run trains.
         attack: settings of all attacks but for steps, seed and kept copies.
-        attack_image_px: image side in attacks.
-        attack_steps: steps by kind of attack.
         textures: constraints of the textures, such as PixFcMa; Fc and PixFc also make parallel
             combinations.
         repeats: attacks of each kind, from different seeds.
@@ -72,7 +155,6 @@ class Preset:
         features: textures for which the detectors' features are stored, with a random control and
             the best plain paint.
         weather: textures that are also optimised in all weathers and scored in every weather.
-        weather_images: test images in weather, one weather each.
         check_scenes: test scenes of the precheck; 0 for none.
         cycles_repeats: repeats and draws in the Cycles column.
         cycles_headlines: camouflages with all repeats, as many draws and the chosen controls in the
@@ -81,7 +163,6 @@ class Preset:
         ladder_magnitude: PM of the shapes and combinations that keep copies, and of random shapes
             on optimised textures.
         score_batch: camouflages scored in one step; a quarter of them on Cycles.
-        threads: CPU threads of each step.
         resources: resources of each step that renders, trains, attacks or scores.
         reference: detectors that are taken as they come with skyproof.
         best_of: draws of the best-of-N control; 0 for no plain-paint, best-of-N and search control.
@@ -89,7 +170,6 @@ class Preset:
             are repeated on each.
         blur_sigma_px: blur of the vehicles in pixels, or "paper" for the paper's 2.4; None for the
             blur of the ground.
-        title: title of the report.
         preset: name of the preset of a run folder's settings.
     """
 
@@ -180,16 +260,12 @@ class Preset:
 
     @classmethod
     def parse(cls, values: Mapping[str, Any], place: str = "The preset") -> Preset:
-        """Takes plain values, as JSON has them.
-
-        Raises:
-            ConfigurationError: a setting is missing, unknown, or cannot be.
-        """
+        """Takes plain values, as JSON has them; ConfigurationError for a setting that cannot be."""
         return check_document(values, cls, place, _REMEDY, error=ConfigurationError)
 
 
 def read_preset(preset: str) -> tuple[str, Path, dict[str, Any], Preset]:
-    """Reads a preset: "quick", "paper", "reference", or the path of a JSON file of their form.
+    """Reads a preset by its name, or by the path of a JSON file of the same form.
 
     Returns:
         Its name, its file, its values as the file has them, and the settings.

@@ -1,6 +1,5 @@
 """A reproduction's report: the page of any run, and the paper's tables in it and beside it."""
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -36,8 +35,7 @@ from skyproof.reproduction.transfer import transfer_part
 from skyproof.reproduction.trust import trust_part
 from skyproof.reproduction.variability import variability_part
 from skyproof.reproduction.weather import weather_part
-from skyproof.results.result import MAIN_MATCH
-from skyproof.results.results import RENDERER, Results
+from skyproof.results.results import Results
 from skyproof.words import detector_name
 
 
@@ -123,8 +121,9 @@ def _preamble(run: Reproduction) -> list[Block]:
     title = run.results.config.title or "The paper’s tables"
     gate = " ".join(precheck_part(run.results).sentences)
     parts: list[Block] = [Heading(title, 1), f"**Worth attacking?** {gate}"]
-    scores = _standing(run)
-    checked = f" (AP with centres within 1 m: {scores})" if scores else ""
+    scores = {detector: number(run.original_ap(detector)) for detector in run.detectors}
+    known = [f"{detector_name(name)} {ap} %" for name, ap in scores.items() if ap != number(None)]
+    checked = f" (AP with centres within 1 m: {', '.join(known)})" if known else ""
     real = any(check.real for check in run.results.baselines)
     if run.results.sources == ["procedural"] and not real:
         parts.append(
@@ -152,21 +151,6 @@ def _preamble(run: Reproduction) -> list[Block]:
             lines.append(f"all jobs together {seconds / 3600:.1f} h")
         parts.append("\n".join(f"- {line}" for line in lines))
     return parts
-
-
-def _standing(run: Reproduction) -> str:
-    """Says what the detectors score on the images without camouflage, by centres within 1 m."""
-    # Any camouflage will do: all are compared with the same images.
-    scores = {
-        row.detector: row.ap_original
-        for row in reversed(run.results.rows)
-        if (row.renderer, row.match) == (RENDERER, MAIN_MATCH)
-    }
-    return ", ".join(
-        f"{detector_name(detector)} {number(100 * scores[detector])} %"
-        for detector in run.detectors
-        if not math.isnan(scores.get(detector, math.nan))
-    )
 
 
 def _html(block: Block) -> Markup:

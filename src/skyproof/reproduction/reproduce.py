@@ -84,11 +84,7 @@ def reproduce(asked: Reproduce) -> None:
 
 
 def _side_by_side(asked: Reproduce) -> int:
-    """How many steps run at once, on this machine or in Slurm.
-
-    Raises:
-        ConfigurationError: Snakemake or Slurm is missing, or both options are given.
-    """
+    """How many steps run at once, on this machine or in Slurm, which must be there."""
     if asked.slurm_jobs is not None:
         if asked.cores is not None:
             raise ConfigurationError(
@@ -107,11 +103,7 @@ def _side_by_side(asked: Reproduce) -> int:
 
 
 def _blender(asked: Reproduce) -> Path | None:
-    """The Blender of the Cycles column.
-
-    Raises:
-        ConfigurationError: there is no usable Blender, or it is given without --cycles.
-    """
+    """The Blender of the Cycles column, if that is asked for."""
     if asked.cycles:
         # Not resolved: the Python of a virtual environment is a link, and loses its packages when
         # followed.

@@ -12,7 +12,7 @@ from skyproof.reproduction.layout import PaperLayout
 from skyproof.reproduction.paper_results import PAPER_RESULTS
 from skyproof.reproduction.stored_features import Features, read_features
 from skyproof.reproduction.stored_looks import Looks, read_looks
-from skyproof.results.result import Result
+from skyproof.results.result import MAIN_MATCH, Result
 from skyproof.results.results import CYCLES, RENDERER, Results
 from skyproof.results.stored import AttackRecord
 
@@ -55,6 +55,14 @@ class Reproduction:
     ) -> Result | None:
         """Finds a camouflage's row, of the mean over detectors or of one; None if not scored."""
         return self.results.row(CamouflageName.read(name), detector, renderer=renderer)
+
+    def original_ap(self, detector: str, renderer: str = RENDERER) -> float | None:
+        """Finds a detector's AP without camouflage, the same in all rows, in percent."""
+        wanted = (detector, renderer, MAIN_MATCH)
+        for row in self.results.rows:
+            if (row.detector, row.renderer, row.match) == wanted:
+                return 100 * row.ap_original
+        return None
 
     @cached_property
     def curves(self) -> dict[str, PracticalityCurve]:

@@ -22,11 +22,7 @@ _PATIENCE_S = 60.0
 
 
 def check_slurm() -> None:
-    """Makes sure that steps can be handed to Slurm from here.
-
-    Raises:
-        ConfigurationError: the plug-in or Slurm is missing, or Slurm does not answer.
-    """
+    """Makes sure that steps can be handed to Slurm from here; ConfigurationError if not."""
     if find_spec("snakemake") is None or find_spec(_PLUGIN) is None:
         raise ConfigurationError(
             "--slurm-jobs needs Snakemake and its plug-in for Slurm; run pip install "
@@ -46,9 +42,7 @@ def wait_for_earlier_jobs(folder: Path) -> None:
 
     Jobs outlive the one who submitted them where that could not cancel them, as when its machine
     lost power. Snakemake does not know them again: it would write what they write.
-
-    Raises:
-        RunFolderError: they go on after a minute.
+    It waits a minute at most.
     """
     place = os.path.realpath(folder)
     until = time.monotonic() + _PATIENCE_S

@@ -24,8 +24,7 @@ from skyproof.layout import Layout
 from skyproof.ranges import check_ranges
 from skyproof.reproduction.jobs import AttackJob
 from skyproof.reproduction.layout import PaperLayout
-from skyproof.reproduction.preset import Preset
-from skyproof.reproduction.world import MOST_SCENES, Rendered
+from skyproof.reproduction.preset import MOST_SCENES, Preset, Rendered
 from skyproof.scenes.splits import Split
 
 # Seconds on one core for a million pixels (before one detector), for a vehicle, or for a
@@ -239,16 +238,11 @@ class Steps:
         rendering: Rendering = _TORCH,
         empty: bool = False,
     ) -> Step:
-        """Scores camouflages.
+        """Scores camouflages, given by their folders relative to `camouflages/`.
 
         Args:
-            name: name of the score folder.
-            camouflages: folders relative to `camouflages/`.
-            detectors: detector folders.
+            name: name of the score folder, and of the step after the `prefix`.
             out: run folder whose `scores/` gets the score folder.
-            prefix: text before the name in the step's name.
-            split: scenes that are rendered, test or weather.
-            rendering: the renderer.
             empty: whether false alarms are also counted on ground without vehicles.
         """
         run = self._run

@@ -118,7 +118,7 @@ def _columns(rows: Sequence[Mapping[str, Any]]) -> list[Column]:
         ("net of it", rate("net_strongest_control_easr")),
         ("APD", value("apd")),
     ]
-    on_cycles = "cycles_easr" in Table("", rows).columns
+    on_cycles = any("cycles_easr" in row for row in rows)
     if on_cycles:
         columns += [
             ("EASR on Cycles", _cycles("cycles_easr")),

@@ -96,9 +96,6 @@ def trainings_part(run: Reproduction) -> Topic:
     """Gives EASR and net EASR of every attack that was learnt on every training.
 
     One row per detector, and one for their mean. Nothing is said of a run with one training.
-
-    Raises:
-        ConfigurationError: the trainings do not belong together.
     """
     trainings = read_trainings(run.results)
     if len(trainings) < 2:
