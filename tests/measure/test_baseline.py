@@ -13,7 +13,6 @@ from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.detector import Detections
 from skyproof.detectors.matching import match_images
 from skyproof.detectors.validation import average_precision
-from skyproof.errors import ConfigurationError
 from skyproof.measure import baseline as clean
 
 
@@ -153,11 +152,3 @@ def test_undefined_limits():
         *empty, ["a", "b", "c"], criterion="centre_1m", generator=np.random.default_rng(0)
     )
     assert all(map(math.isnan, answer))
-    with pytest.raises(ConfigurationError, match="2 places for 3 images"):
-        ap_interval(
-            detections,
-            labelled,
-            ["a", "b"],
-            criterion="centre_1m",
-            generator=np.random.default_rng(0),
-        )

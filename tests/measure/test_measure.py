@@ -141,16 +141,6 @@ def test_false_alarms_are_unmatched_above_the_threshold_and_outside_ignore_regio
     assert count_false_alarms(truth, [found], ignore=ignore) == 2
 
 
-def test_views_of_other_scenes_raise(make_scene, make_detections):
-    nothing = make_detections()
-    one = view([nothing], [boxes((5, 5))])
-    two = view([nothing, nothing], [boxes((5, 5)), boxes((5, 5))])
-    with pytest.raises(ValueError, match="one image per scene"):
-        room.compare([make_scene("a", "t")], one, two, detector(), "torch")
-    with pytest.raises(ValueError, match="more vehicles"):
-        compare([make_scene("a", "t", 1)], [boxes((5, 5), (9, 9))], [nothing], [nothing])
-
-
 def test_the_weather_of_the_scene_is_recorded(make_scene, make_detections):
     scene = make_scene("a", "t")
     scenes = [scene, dataclasses.replace(scene, id="b", weather=draw_weather("low_sun", 0.5))]

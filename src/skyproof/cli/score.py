@@ -64,11 +64,7 @@ class Score(Rendering):
         self._say_results()
 
     def measure(self, loaded: Sequence[Detector] = ()) -> None:
-        """Writes the score folder.
-
-        Args:
-            loaded: the detectors of the folders, if they are loaded already.
-        """
+        """Writes the score folder; the detectors may be `loaded` already."""
         from skyproof.camouflage.folder import load_camouflage
         from skyproof.console import progress_bar
         from skyproof.datasets.dataset import Dataset
@@ -77,7 +73,6 @@ class Score(Rendering):
         from skyproof.device import choose_device
         from skyproof.files import refuse_existing
         from skyproof.measure.frames import read_frames
-        from skyproof.measure.patterns import add_patterns
         from skyproof.measure.score import score
         from skyproof.measure.views import SceneChange
         from skyproof.scenes.backgrounds import BackgroundSet
@@ -98,11 +93,6 @@ class Score(Rendering):
             tiles = dict.fromkeys(scene.background.tile for scene in scenes)
             sources = dict.fromkeys(backgrounds.tile(name).source for name in tiles)
         with self._stage(device, backgrounds) as stage, progress_bar("score") as update:
-
-            def add(folder: Path) -> None:
-                if stage is not None:
-                    add_patterns(folder, worn, stage.fleet)
-
             score(
                 detectors,
                 self.out,
@@ -113,16 +103,12 @@ class Score(Rendering):
                 baselines=baselines,
                 seed=self.seed,
                 sources=list(sources),
-                add=add,
+                worn=worn,
                 progress=update,
             )
 
     def _refuse_what_cannot_work(self) -> None:
-        """Refuses options that do not fit, before anything is rendered.
-
-        Raises:
-            ConfigurationError: an option is missing or out of place.
-        """
+        """Refuses options that do not fit, before anything is rendered."""
         if not self.camouflages and not self.frames:
             raise ConfigurationError(
                 "Scoring expects something to measure the detectors on: --original with "
@@ -139,12 +125,12 @@ class Score(Rendering):
                 "--original; give both."
             )
         names = [folder.name for folder in self.camouflages]
-        unfit = next((name for name in names if not is_name(name)), None)
-        if unfit is not None:
-            raise ConfigurationError(
-                f"--camouflages expects folders whose names can name a camouflage, got {unfit!r}; "
-                "give each by its own name."
-            )
+        for name in names:
+            if not is_name(name):
+                raise ConfigurationError(
+                    f"--camouflages expects folders whose names can name a camouflage, got "
+                    f"{name!r}; give each by its own name."
+                )
         if len(set(names)) != len(names):
             raise ConfigurationError(
                 "--camouflages expects folders of different names; score the others separately."
@@ -180,15 +166,11 @@ class Score(Rendering):
                 )
         for check in results.baselines:
             ap = check.ap_centre_1m
-            if not check.vehicles:
-                say(
-                    f"  {check.dataset:<24} {check.detector:<14} "
-                    f"{number(check.false_alarms_per_km2)} false alarms per km², no vehicles"
-                )
-                continue
-            say(
-                f"  {check.dataset:<24} {check.detector:<14} AP {percent(ap.estimate)} "
-                f"({interval(ap.low, ap.high)}, over {check.clusters} {check.clustered_by}), "
-                f"{check.vehicles} vehicles"
+            told = (
+                f"AP {percent(ap.estimate)} ({interval(ap.low, ap.high)}, over {check.clusters} "
+                f"{check.clustered_by}), {check.vehicles} vehicles"
+                if check.vehicles
+                else f"{number(check.false_alarms_per_km2)} false alarms per km², no vehicles"
             )
+            say(f"  {check.dataset:<24} {check.detector:<14} {told}")
         say(f"Scores: {self.out.resolve()}")

@@ -14,7 +14,6 @@ from skyproof.detectors.validation import (
     best_f1_threshold,
     precision_recall,
 )
-from skyproof.errors import ConfigurationError
 from skyproof.measure.views import SceneView, look
 from skyproof.results.baseline import Baseline, BestF1
 from skyproof.results.result import MAIN_MATCH
@@ -30,11 +29,10 @@ from skyproof.seeds import numpy_generator
 
 @dataclass(frozen=True)
 class BaselineSet:
-    """Images without camouflage.
+    """Images without camouflage, at the detectors' resolution.
 
     Attributes:
         name: name in the report.
-        images: images at the detectors' resolution.
         real: whether a camera took them.
         note: source and processing.
         places: place of each image, as the bootstrap's clusters; empty if not known.
@@ -54,8 +52,7 @@ def measure_baselines(
     """Measures every detector on images without camouflage.
 
     Intervals are over places, or over images if all show one place or none is known. Without a
-    `view` of the images the detectors run. Each set has the same `seed`, so that no set changes
-    another's intervals.
+    `view` the detectors run. All sets have one `seed`, so none changes another's intervals.
     """
     view = view or look(detectors, images.name, images.images)
     return [_measure(each, images, view, seed) for each in detectors]
@@ -108,10 +105,7 @@ def _threshold_intervals(
     threshold: float,
     generator: np.random.Generator,
 ) -> tuple[Interval, Interval]:
-    """Precision and recall at a threshold with their 95 % intervals, as fractions.
-
-    The limits are nan with fewer than two clusters, all three without anything to divide by.
-    """
+    """Precision and recall at a threshold with 95 % intervals, undefined as in `ap_interval`."""
     counting = matches.counting_at(threshold)
     count = int(cluster_of_image.max(initial=-1)) + 1
     images = (
@@ -147,14 +141,7 @@ def ap_interval(
     per image) are resampled, not images. Limits are those of all our rates (`bootstrap_interval`),
     so that with two or three places they are honest and wide. They are nan with fewer than two
     clusters, all three without a vehicle.
-
-    Raises:
-        ConfigurationError: there are not as many clusters as images.
     """
-    if len(clusters) != matches.images:
-        raise ConfigurationError(
-            f"Got {len(clusters)} places for {matches.images} images; give one each."
-        )
     cluster_of_image = _numbers(clusters)
     count = len(set(clusters))
     estimate = average_precision(matches)

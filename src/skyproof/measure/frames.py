@@ -35,10 +35,6 @@ def read_frames(texts: Sequence[str], classes: Sequence[str], gsd_m: float) -> l
     LABELS (COCO file, folder of YOLO or DOTA text) is needed if they do not lie with the images.
     Arguments of the same NAME are one set. Each argument counts as one place; in a set that
     `skyproof ground` cut, each source.
-
-    Raises:
-        ConfigurationError: a text of another form.
-        ImageryError: an image or label file that cannot be used.
     """
     by_name: dict[str, list[_FramesArgument]] = {}
     for text in texts:

@@ -78,27 +78,14 @@ def compare(
 ) -> list[Outcome]:
     """The outcomes of one detector under one change, by each rule for every vehicle in sight.
 
-    `scenes` are those of the view `before`, and `renderer` is its renderer's name in tables.
-
-    Raises:
-        ValueError: the views do not show the scenes.
+    Both views show the scenes, and `renderer` is their renderer's name in tables.
     """
     outcomes = []
     for match in matches:
-        first = before.matched(detector.name, match)
-        second = after.matched(detector.name, match)
-        if not len(scenes) == first.images == second.images:
-            raise ValueError(
-                f"expected one image per scene, got {len(scenes)} scenes and "
-                f"{first.images} and {second.images} images"
-            )
+        first, second = (view.matched(detector.name, match) for view in (before, after))
         found_after = _vehicles(second, detector.threshold)
         for (image, index), found_before in _vehicles(first, detector.threshold).items():
             scene = scenes[image]
-            if index >= len(scene.placements):
-                raise ValueError(
-                    f"scene {scene.id} has {len(scene.placements)} placements, but more vehicles"
-                )
             then = found_after.get((image, index), _OUT_OF_SIGHT)
             outcomes.append(
                 Outcome(
@@ -125,14 +112,15 @@ def _vehicles(
     matches: MatchTable, threshold: float
 ) -> dict[tuple[int, int], tuple[bool, float, float]]:
     """By image and index in it: whether a vehicle is found, its score and distance."""
-    places = zip(matches.image_of_vehicle.tolist(), matches.index_of_vehicle.tolist(), strict=True)
-    columns = zip(
-        matches.found_at(threshold).tolist(),
-        matches.score_of_vehicle.tolist(),
-        matches.distance_of_vehicle_m.tolist(),
-        strict=True,
+    columns = (
+        matches.image_of_vehicle,
+        matches.index_of_vehicle,
+        matches.found_at(threshold),
+        matches.score_of_vehicle,
+        matches.distance_of_vehicle_m,
     )
-    return dict(zip(places, columns, strict=True))
+    rows = zip(*(column.tolist() for column in columns), strict=True)
+    return {(image, index): (found, score, far) for image, index, found, score, far in rows}
 
 
 def _situation(scene: Scene, placement: Placement) -> dict[str, Any]:

@@ -1,14 +1,18 @@
 """Score folders: every camouflage measured, with all that a report needs."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+from PIL import Image
+
+from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.name import CamouflageName
+from skyproof.camouflage.practicality import practicality_account
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.detector import Detector
 from skyproof.detectors.validation import average_precision
 from skyproof.errors import ConfigurationError, StoredFileError
-from skyproof.files import finished_folder, write_beside
+from skyproof.files import finished_folder, inside, write_beside, write_bytes, write_json
 from skyproof.measure.baseline import BaselineSet, measure_baselines
 from skyproof.measure.measure import compare
 from skyproof.measure.views import (
@@ -19,6 +23,7 @@ from skyproof.measure.views import (
     refuse_twice,
     views,
 )
+from skyproof.render.portrait import portrait
 from skyproof.results.baseline import Baseline
 from skyproof.results.pairs.outcomes import MATCHES, Outcome, write_outcomes
 from skyproof.results.pictures import choose_scenes, draw_scene
@@ -33,6 +38,10 @@ from skyproof.results.score_folder import (
 )
 from skyproof.results.statistics.rates import false_alarms_per_km2
 from skyproof.scenes.scene import Scene
+from skyproof.vehicles.fleet import Fleet
+
+_Seen = tuple[bool, float]
+"""Whether a vehicle is found, and its score."""
 
 
 def score(
@@ -46,28 +55,21 @@ def score(
     baselines: Sequence[BaselineSet] = (),
     seed: int = 0,
     sources: Sequence[str] = (),
-    add: Callable[[Path], None] | None = None,
+    worn: Mapping[Path, Camouflage] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Outcome]:
-    """Writes a score folder: outcomes, baselines and pictures.
+    """Writes a score folder: outcomes, baselines and pictures, whole or not at all.
 
     Args:
-        folder: folder to write, whole or not at all.
         scenes: scenes of one image size; without a stage none are rendered.
         unchanged: the scenes as they are, if they are rendered already.
         baselines: further images without camouflage.
         sources: sources of the ground, or ["procedural"]; empty if not known.
-        add: writes more into the folder before it is finished.
+        worn: the camouflages by their folders, if their looks are to be kept.
         progress: called with (images done, images in all).
 
     Returns:
         The outcomes detector by detector, then change by change.
-
-    Raises:
-        ConfigurationError: as `views`; two changes or sets have one name, or `unchanged` was
-            rendered with other settings than the stage's.
-        StoredFileError: an image is missing or damaged.
-        RunFolderError: the folder exists, or the disk cannot take it.
     """
     refuse_twice("detectors", [each.name for each in detectors])
     refuse_twice("camouflages", [change.name for change in changes])
@@ -90,12 +92,11 @@ def score(
             rows += measure_baselines(detectors, each, seed=seed)
             if count is not None:
                 count(len(each.images))
-        order = [each.name for each in detectors]
-        rows.sort(key=lambda row: order.index(row.detector))
-        write_rows(partial / "baselines.json", rows)
-        if add is not None:
-            add(partial)
         thresholds = {each.name: each.threshold for each in detectors}
+        rows.sort(key=lambda row: [*thresholds].index(row.detector))
+        write_rows(partial / "baselines.json", rows)
+        if worn and stage is not None:
+            _add_patterns(partial, worn, stage.fleet)
         renderer = None if stage is None else stage.renderer.name
         write_record(partial, ScoreRecord(thresholds, seed, renderer, list(sources)))
     return outcomes
@@ -105,10 +106,8 @@ def _refuse_other_rendering(
     unchanged: Dataset, scenes: Sequence[Scene], stage: SceneRenderer
 ) -> None:
     """Pairs may differ in camouflage and in nothing else."""
-    vehicles = [len(scene.placements) for scene in scenes]
-    if list(unchanged.ids) != [scene.id for scene in scenes] or vehicles != list(
-        map(len, unchanged.boxes)
-    ):
+    drawn = [(scene.id, len(scene.placements)) for scene in scenes]
+    if drawn != list(zip(unchanged.ids, map(len, unchanged.boxes), strict=True)):
         raise StoredFileError(
             f"{unchanged.folder} has other images or vehicles than its scenes.jsonl says; copy the "
             "whole folder again, or make the dataset again."
@@ -213,11 +212,7 @@ class _Writer:
             )
 
     def _picture(
-        self,
-        view: SceneView,
-        scene: str,
-        detector: Detector,
-        vehicles: dict[int, tuple[bool, float]],
+        self, view: SceneView, scene: str, detector: Detector, vehicles: Mapping[int, _Seen]
     ) -> str:
         """Draws the detections in one image unless its file exists; returns the file."""
         file = f"{view.name}/{scene}.jpg"
@@ -237,3 +232,22 @@ class _Writer:
         with write_beside(path) as temporary:
             picture.save(temporary, "JPEG", quality=85, subsampling=0)
         return file
+
+
+def _add_patterns(folder: Path, worn: Mapping[Path, Camouflage], fleet: Fleet) -> None:
+    """Adds what the pictured camouflages look like, and what they ask of their makers."""
+    vehicles = fleet.batch(fleet.ids)
+    rows = []
+    for place, camouflage in worn.items():
+        if not is_pictured(CamouflageName.read(place.name)):
+            continue
+        own = folder / "patterns" / place.name
+        picture = portrait(fleet, camouflage.cpu())
+        with write_beside(own / "on_vehicle.png") as temporary:
+            Image.fromarray(picture.permute(1, 2, 0).numpy()).save(temporary)
+        for file in ("texture.png", "steps.jsonl"):
+            if (place / file).exists():
+                write_bytes(own / file, inside(place, file, place).read_bytes())
+        rows.append({**practicality_account(camouflage, vehicles), "name": place.name})
+    if rows:
+        write_json(folder / "practicality.json", {"vehicles": len(vehicles), "rows": rows})

@@ -30,21 +30,13 @@ _BATCH_SIZE = 8
 
 @dataclass(frozen=True, eq=False)
 class SceneChange:
-    """A change of scenes before they are rendered; None leaves the scene as it is.
+    """A change of scenes before they are rendered; None leaves the scene as it is."""
 
-    Attributes:
-        name: name in the outcomes.
-        camouflage: camouflage of all vehicles.
-        blur_sigma_px: blur of the vehicles.
-        sun_elevation_deg: elevation of the sun.
-        kind: kind of a change in the precheck; None for a camouflage under test.
-    """
-
-    name: str
-    camouflage: Camouflage | None = None
-    blur_sigma_px: float | None = None
+    name: str  # in the outcomes
+    camouflage: Camouflage | None = None  # of all vehicles
+    blur_sigma_px: float | None = None  # of the vehicles
     sun_elevation_deg: float | None = None
-    kind: Kind | None = None
+    kind: Kind | None = None  # in the precheck; None for a camouflage under test
 
     def lit(self, scene: Scene) -> Scene:
         """The scene under the changed sun."""
@@ -126,11 +118,6 @@ def views(
         scenes: scenes of one image size.
         unchanged: the scenes as they are, if they are rendered already.
         progress: called with the number of images of each finished batch.
-
-    Raises:
-        ConfigurationError: no scene shows a vehicle, a detector is made for another resolution or
-            finds no vehicle without a change, or two detectors have one name.
-        StoredFileError: a tile or an image is missing or damaged.
     """
     _check(detectors, scenes)
     if unchanged is None:
@@ -255,16 +242,12 @@ def _check(detectors: Sequence[Detector], scenes: Sequence[Scene]) -> None:
 
 
 def refuse_twice(kind: str, names: Sequence[str]) -> None:
-    """Refuses two things of one name, because tables and files go by name.
-
-    Raises:
-        ConfigurationError: a name comes twice.
-    """
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None:
-        raise ConfigurationError(
-            f"Two {kind} are called {twice!r}; give each once, or take them one after the other."
-        )
+    """Refuses two things of one name, because tables and files go by name."""
+    for name in names:
+        if names.count(name) > 1:
+            raise ConfigurationError(
+                f"Two {kind} are called {name!r}; give each once, or take them one after the other."
+            )
 
 
 def _refuse_blind(detector: Detector, unchanged: SceneView) -> None:
