@@ -11,11 +11,7 @@ if TYPE_CHECKING:
 
 
 def choose_device(name: str) -> torch.device:
-    """Returns the device of that name; "auto" takes a CUDA device where there is one.
-
-    Raises:
-        ConfigurationError: a device that this machine does not have.
-    """
+    """Returns the device of that name; "auto" takes a CUDA device where there is one."""
     import torch
 
     if name == "auto":

@@ -51,19 +51,15 @@ def read_document(
 
     Every number is finite, and whole numbers have at most 64 bits. A field that a dataclass does
     not know is refused at any depth, because it may be misspelt. A Struct decides itself about
-    unknown fields.
+    unknown fields. The error of a file that is missing, no JSON, or of another version or form is
+    one sentence with the file, the place in it and the remedy.
 
     Args:
-        path: the file.
         kind: type of the content, such as a dataclass, or `dict[str, Any]`.
         remedy: advice of the error, such as "copy the file again".
         version: required value of the field "format"; other versions are refused before their
             fields are read. None for files without one.
         error: class of the error.
-
-    Raises:
-        SkyproofError: the file is missing, no JSON, of another version or form; one sentence with
-            the file, the place in it and the remedy.
     """
     content = _content(path, remedy, error)
     if version is not None:
@@ -79,11 +75,7 @@ def read_document(
 def read_lines(
     path: Path, kind: type[T] | Any, remedy: str, *, error: type[SkyproofError] = StoredFileError
 ) -> list[T]:
-    """Reads a file of one JSON value per line, each as `read_document` reads a file.
-
-    Raises:
-        SkyproofError: as `read_document`, with the line.
-    """
+    """Reads a file of one JSON value per line, each as `read_document` reads a file."""
     lines = _content(path, remedy, error).split(b"\n")
     return [
         parse_document(line, kind, f"{path} line {number}", remedy, error=error)
@@ -102,8 +94,10 @@ def parse_document(
 ) -> T:
     """Reads JSON text as `read_document` reads a file; `place` names it in errors."""
 
+    struct = isinstance(kind, type) and issubclass(kind, msgspec.Struct)
+
     def parsed() -> T:
-        if _is_struct(kind):
+        if struct:
             return msgspec.json.decode(content, type=kind, dec_hook=_path_of_text)
         return _converted(msgspec.json.decode(content), kind)
 
@@ -150,7 +144,7 @@ def _in_one_sentence(
     except msgspec.ValidationError as unfit:
         said = _in_words(str(unfit))
     except (msgspec.DecodeError, UnicodeDecodeError) as damaged:
-        said = f"is not JSON ({_without_stop(damaged)})"
+        said = f"is not JSON ({' '.join(str(damaged).split()).rstrip('.')[:200]})"
     raise error(f"{place}{'' if said.startswith(',') else ' '}{said}; {remedy}.") from None
 
 
@@ -166,10 +160,6 @@ def _content(path: Path, remedy: str, error: type[SkyproofError]) -> bytes:
     except (OSError, ValueError) as unreadable:
         reason = getattr(unreadable, "strerror", None) or str(unreadable)
         raise error(f"{path} cannot be read ({reason}); {remedy}.") from unreadable
-
-
-def _is_struct(kind: Any) -> bool:
-    return isinstance(kind, type) and issubclass(kind, msgspec.Struct)
 
 
 def _refuse_strange(value: Any, hint: Any, place: str) -> None:
@@ -235,7 +225,3 @@ def _in_words(message: str) -> str:
     said = re.sub(r"^Object missing required field `(.*)`$", r"the field \1 is missing", said)
     said = said[:1].lower() + said[1:].replace(" | ", " or ")
     return f"{_at(place)}{said[:300]}"
-
-
-def _without_stop(error: Exception) -> str:
-    return " ".join(str(error).split()).rstrip(".")[:200]

@@ -26,10 +26,8 @@ def write_beside(path: Path) -> Iterator[Path]:
     """Yields a temporary path beside `path`, which becomes `path` if the block ends well.
 
     The file is on the disk before it gets its name, so that not even a power cut leaves an empty
-    one. If the block fails, the temporary file is removed.
-
-    Raises:
-        RunFolderError: the disk is full or not writable; names `path` and the remedy.
+    one. If the block fails, the temporary file is removed. A full disk, or one that cannot be
+    written, is a RunFolderError that names `path` and the remedy.
     """
     path = Path(path)
     # The suffix is kept last, because libraries choose a format by it.
@@ -51,14 +49,7 @@ def write_beside(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def new_file(path: Path) -> Iterator[None]:
-    """Locks a file that must not exist yet, while the block writes it.
-
-    The block writes it whole or not at all, with `write_json` or `write_beside`.
-
-    Raises:
-        RunFolderError: `path` exists already, another process is writing it, or the disk is full or
-            not writable.
-    """
+    """Locks a file that must not exist yet, while the block writes it with `write_beside`."""
     with alone(path):
         refuse_existing(path)
         yield
@@ -71,10 +62,6 @@ def finished_folder(path: Path) -> Iterator[Path]:
     Only a folder under its final name counts as finished, and by then all of it is on the disk. If
     the block fails, its files are removed, so that a full disk has room again; the next try removes
     the leftovers of a kill.
-
-    Raises:
-        RunFolderError: `path` exists already, another process is writing it, or the disk is full or
-            not writable.
     """
     path = Path(path)
     # The name is hidden, so that it cannot be a folder of the user.
@@ -99,13 +86,10 @@ def finished_folder(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def alone(place: Path) -> Iterator[Hold]:
-    """Locks a file or folder against other writers.
+    """Locks a file or folder against other writers, in this process too.
 
     The lock is a file `.<name>.lock` beside the place; it names its holder. The holder's death
     releases it, and a leftover lock file is no obstacle.
-
-    Raises:
-        RunFolderError: another process, or another part of this one, is writing there.
     """
     place = Path(place).resolve()
     path = place.with_name(f".{place.name}.lock")
@@ -177,20 +161,13 @@ def is_leftover(path: Path) -> bool:
 
 
 def drop_empty_folder(path: Path) -> None:
-    """Removes a folder if it is empty.
-
-    Snakemake makes the folder of a step's result in advance.
-    """
+    """Removes a folder if it is empty: Snakemake makes that of a step's result in advance."""
     with suppress(OSError):
         path.rmdir()
 
 
 def refuse_existing(path: Path) -> None:
-    """Keeps a stage from overwriting an existing path.
-
-    Raises:
-        RunFolderError: `path` exists.
-    """
+    """Keeps a stage from overwriting an existing path."""
     # A broken link belongs to the user, too.
     if os.path.lexists(path):
         raise RunFolderError(
@@ -200,11 +177,7 @@ def refuse_existing(path: Path) -> None:
 
 
 def refuse_foreign(folder: Path, ours: Collection[str]) -> None:
-    """Keeps a stage from writing among foreign files; `ours` names the files it may have left.
-
-    Raises:
-        RunFolderError: the folder is a file, or holds something else.
-    """
+    """Keeps a stage from writing among foreign files; `ours` names the files it may have left."""
     folder = Path(folder)
     if not folder.exists():
         return
@@ -226,11 +199,7 @@ def file_digest(path: Path) -> str:
 
 
 def inside(folder: Path, reference: str, document: Path) -> Path:
-    """Gives the file below `folder` that a document in it names.
-
-    Raises:
-        StoredFileError: a link leads out of the folder; names the document.
-    """
+    """Gives the file below `folder` that a document in it names; no link may lead out of it."""
     path = Path(folder) / reference
     try:
         leads_out = not path.resolve().is_relative_to(Path(folder).resolve())
@@ -250,13 +219,10 @@ def _unwritable(path: Path, error: OSError) -> RunFolderError:
     if error.errno is None and _is_full(path):
         # Image encoders report a failed write without its cause.
         reason = os.strerror(errno.ENOSPC)
-    full = reason in map(os.strerror, (errno.ENOSPC, errno.EDQUOT, errno.EFBIG))
-    remedy = (
-        "free space or choose another --out, then run the same command again (what is finished is "
-        "kept)"
-        if full
-        else "choose another --out, or make this place writable"
-    )
+    remedy = "choose another --out, or make this place writable"
+    if reason in map(os.strerror, (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)):
+        remedy = "free space or choose another --out, then run the same command again (what is "
+        remedy += "finished is kept)"
     return RunFolderError(f"Could not write {path}: {reason}; {remedy}.")
 
 
@@ -274,31 +240,17 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Writes `value` as indented JSON, whole or not at all.
-
-    Raises:
-        NotFiniteError: a number in it is not finite.
-        RunFolderError: the disk is full or not writable.
-    """
+    """Writes `value` as indented JSON, whole or not at all; refuses numbers that are not finite."""
     write_bytes(path, (to_json(path, value, indent=1) + "\n").encode())
 
 
 def write_jsonl(path: Path, rows: Iterable[Any]) -> None:
-    """Writes one JSON value a line, whole or not at all.
-
-    Raises:
-        NotFiniteError: a number in it is not finite.
-        RunFolderError: the disk is full or not writable.
-    """
+    """Writes one JSON value a line, whole or not at all; refuses numbers that are not finite."""
     write_bytes(path, "".join(to_json(path, row) + "\n" for row in rows).encode())
 
 
 def to_json(path: Path, value: Any, indent: int | None = None) -> str:
-    """Gives a value as JSON text for a file.
-
-    Raises:
-        NotFiniteError: a number in it is not finite; names the file.
-    """
+    """Gives a value as JSON text for a file, which the error about a number in it names."""
     try:
         return json.dumps(value, indent=indent, ensure_ascii=False, allow_nan=False)
     except ValueError as error:

@@ -21,11 +21,7 @@ class RunPath:
 
 @dataclass(frozen=True)
 class Layout:
-    """The paths of a run folder.
-
-    Attributes:
-        folder: path of the run folder in the steps of a plan.
-    """
+    """The paths of a run folder."""
 
     folder: Path
 
@@ -52,17 +48,13 @@ class Layout:
         return self.folder / "datasets" / name
 
     def detector(self, name: str) -> Path:
-        """A detector folder."""
         return self.detectors / name
 
     def precheck(self, name: str) -> Path:
-        """The precheck of a detector."""
         return self.detector(name) / "precheck.json"
 
     def camouflage(self, name: str) -> Path:
-        """A camouflage folder."""
         return self.camouflages / name
 
     def score(self, name: str) -> Path:
-        """A score folder."""
         return self.scores / name

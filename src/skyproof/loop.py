@@ -48,7 +48,6 @@ class Loop:
         folder: gets `steps.jsonl`, and `checkpoint.safetensors` until the run is finished.
         identity: JSON values that identify the run; a folder with another identity is refused.
         steps: number of the last step.
-        checkpoint_every: steps between checkpoints.
         parts: everything that changes from step to step, by name.
         other: name in errors of a run of another identity, such as "a training with other
             settings".
@@ -73,12 +72,7 @@ class Loop:
     _clock: float = 0.0
 
     def resume(self) -> None:
-        """Returns to the last checkpoint, if there is one.
-
-        Raises:
-            RunFolderError: the folder holds a run of another identity, or foreign files.
-            StoredFileError: the checkpoint is damaged.
-        """
+        """Returns to the last checkpoint, if there is one."""
         path = self.folder / CHECKPOINT
         if not path.exists():
             refuse_foreign(self.folder, {_ROWS})
@@ -86,7 +80,7 @@ class Loop:
         tensors, content = read_tensors(path, self.remedy)
         refuse_other(self.folder, content.get("identity"), self.identity, self.other)
         record: _Record = check_document(content, _Record, f"{path} has a record that", self.remedy)
-        if record.digest not in (None, _digest(content, tensors)):
+        if record.digest != _digest(content, tensors):
             raise StoredFileError(f"{path} is not as it was written; {self.remedy}.")
         if record.step > self.steps:
             raise StoredFileError(
@@ -111,12 +105,7 @@ class Loop:
         return rows
 
     def __iter__(self) -> Iterator[int]:
-        """Gives the numbers of the remaining steps.
-
-        Raises:
-            NotFiniteError: a part is no longer finite; the last checkpoint stays.
-            RunFolderError: the disk is full or not writable.
-        """
+        """Gives the numbers of the remaining steps; a part that is not finite stops them."""
         if self.step == 0:
             # This file marks the folder as ours before any other.
             self._store()
@@ -132,10 +121,7 @@ class Loop:
                     self.on_row(row)
 
     def report(self, row: Mapping[str, Any]) -> None:
-        """Adds a row to `steps.jsonl`, with its number of seconds.
-
-        The seconds count from the start of the step, or from the previous row of the same step.
-        """
+        """Adds a row to `steps.jsonl`, with the seconds since the last one or the step's start."""
         now = time.perf_counter()
         self.rows.append({**row, "seconds": round(now - self._clock, 4)})
         self._clock = now
@@ -150,12 +136,7 @@ class Loop:
         plain: dict[str, Any] = {}
         for name, part in self.parts.items():
             _split(name, part.state_dict(), tensors, plain)
-        record = {
-            "identity": self.identity,
-            "step": self.step,
-            "facts": self.facts,
-            "plain": plain,
-        }
+        record = {"identity": self.identity, "step": self.step, "facts": self.facts, "plain": plain}
         path = self.folder / CHECKPOINT
         try:
             # The form that will be read: JSON turns tuples into lists.
@@ -171,31 +152,24 @@ class Loop:
 
 @dataclass(frozen=True)
 class _Record:
-    """The plain values of a checkpoint, with a digest of all else, which older checkpoints lack."""
+    """The plain values of a checkpoint, with a digest of all else."""
 
     identity: Any
     step: WholeNumber
     facts: dict[str, Any]
     plain: dict[str, Any]
-    digest: str | None = None
+    digest: str
 
 
 def _digest(record: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> str:
-    """Computes the SHA-256 over a record and the kinds and shapes of the tensors beside it.
-
-    It ensures that optimisers only get back their own state.
-    """
+    """The SHA-256 over a record and the kinds of its tensors, so that optimisers know their own."""
     kinds = {name: [str(value.dtype), list(value.shape)] for name, value in tensors.items()}
     content = [{name: value for name, value in record.items() if name != "digest"}, kinds]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def refuse_other(folder: Path, stored: Any, wanted: Mapping[str, Any], other: str) -> None:
-    """Refuses a folder with another stored identity; `other` names its run in the error.
-
-    Raises:
-        RunFolderError: the two identities differ.
-    """
+    """Refuses a folder with another stored identity; `other` names its run in the error."""
     if stored != json.loads(json.dumps(wanted)):
         raise RunFolderError(
             f"{folder} holds {other}; choose another --out, or move it away first."

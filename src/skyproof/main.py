@@ -81,9 +81,8 @@ def main(commands: Commands = COMMANDS) -> None:
 def run(arguments: Sequence[str] | None = None, *, commands: Commands = COMMANDS) -> int:
     """Parses and runs one command; returns the exit code.
 
-    Returns:
-        0 when it is done, 2 for bad input, 130 when the user stopped it, 141 when nobody reads
-        what it prints any more.
+    It is 0 when the command is done, 2 for bad input, 130 when the user stopped it, 141 when nobody
+    reads what it prints any more.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
@@ -133,11 +132,7 @@ def _sentence(error: Exception) -> str | None:
 
 
 def load_command(name: str, commands: Commands = COMMANDS) -> type[Any]:
-    """Imports the class of a command.
-
-    Raises:
-        SkyproofError: there is no command of that name.
-    """
+    """Imports the class of a command."""
     places = {key: place for group in commands.values() for key, place in group.items()}
     if name not in places:
         raise SkyproofError(

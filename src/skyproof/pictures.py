@@ -32,15 +32,8 @@ def open_picture(
 ) -> Image.Image:
     """Reads the header of a picture; `read_pixels` or Pillow decodes its pixels.
 
-    Args:
-        path: a PNG, JPEG, TIFF, JPEG 2000, BMP or WebP file.
-        remedy: advice of the error, such as "replace it, or leave it out".
-        error: class of the error.
-        also: further formats of Pillow.
-
-    Raises:
-        SkyproofError: the file is missing, of another format, damaged, or has more than
-            `LARGEST_PX` pixels.
+    It is a PNG, JPEG, TIFF, JPEG 2000, BMP or WebP file, or of a format of Pillow in `also`.
+    `remedy` is the advice of the error, such as "replace it, or leave it out".
     """
     try:
         with warnings.catch_warnings():
@@ -86,14 +79,7 @@ def read_pixels(
     size_px: tuple[int, int] | None = None,
     error: type[SkyproofError] = StoredFileError,
 ) -> UInt8[np.ndarray, "H W 3"]:
-    """Decodes a whole picture as sRGB bytes.
-
-    `size_px`, if given, is its required width and height, checked before decoding; the other
-    arguments are as in `open_picture`.
-
-    Raises:
-        SkyproofError: as `open_picture`, or the size differs.
-    """
+    """Decodes a whole picture as sRGB bytes; arguments as of `whole_picture`."""
     # One copy: a conversion copies even if there is nothing to convert.
     return np.array(whole_picture(path, remedy, size_px=size_px, error=error))
 
@@ -105,7 +91,7 @@ def whole_picture(
     size_px: tuple[int, int] | None = None,
     error: type[SkyproofError] = StoredFileError,
 ) -> Image.Image:
-    """Decodes a whole picture as Pillow's, in RGB; arguments and errors as `read_pixels`."""
+    """Decodes a whole picture as Pillow's, in RGB; `size_px`, if given, must be its size."""
     with open_picture(path, remedy, error=error) as picture:
         if size_px is not None and picture.size != size_px:
             width, height = picture.size
@@ -127,14 +113,8 @@ def decoded(
 ) -> UInt8[np.ndarray, ...]:
     """Decodes an open picture, perhaps one that a library found inside another file.
 
-    `mode` is Pillow's name of the wanted pixels: "L", "RGB" or "RGBA"; `place` names the picture in
-    the error; the other arguments are as in `open_picture`.
-
-    Returns:
-        Bytes, `[H, W]` for "L", else `[H, W, 3 or 4]`.
-
-    Raises:
-        SkyproofError: it is of another format, damaged or too large.
+    `mode` is Pillow's name of the wanted pixels: "L" gives bytes `[H, W]`, "RGB" and "RGBA"
+    `[H, W, 3 or 4]`. `place` names the picture in the error.
     """
     _refuse_giant(picture, place, remedy, error)
     # A picture made in memory has no format.

@@ -78,9 +78,6 @@ def check_ranges(settings: object) -> None:
 
     Settings call it in `__post_init__`. Nested settings check themselves, except typed
     dictionaries, whose values are checked here. The command line calls it for every command.
-
-    Raises:
-        ConfigurationError: a value is out of its range, or of another type; names the field.
     """
     kind: Any = type(settings)
     for name, hint in _limited(kind).items():
@@ -98,9 +95,6 @@ def check_value(name: str, value: Any, hint: Any) -> None:
 
     The value, which `name` names in the error, is a number, a text, or a tuple of such; numbers of
     NumPy, too.
-
-    Raises:
-        ConfigurationError: the value is out of its range, or of another type.
     """
     try:
         msgspec.convert(_plain(value), hint)

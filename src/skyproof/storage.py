@@ -23,12 +23,8 @@ def write_tensors(
     """Writes tensors, and a record if there is one, to one file, whole or not at all.
 
     Record and tensors share a file, so that a kill can never leave one older than the other.
-    Tensors may be on any device, but no two may share memory. The record is any JSON value. A
-    missing folder is made.
-
-    Raises:
-        NotFiniteError: a number in them is not finite; nothing is written.
-        RunFolderError: the disk is full or not writable.
+    Tensors may be on any device, but no two may share memory. The record is any JSON value. Nothing
+    is written if a number is not finite.
     """
     plain = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     broken = _not_finite(plain)
@@ -44,13 +40,8 @@ def write_tensors(
 def read_tensors(path: Path, remedy: str) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """Reads a file of `write_tensors`; opening it runs no code.
 
-    `remedy` is the advice of the error, such as "make the camouflage again".
-
-    Returns:
-        The tensors by name on the CPU, and the record, empty if none was written.
-
-    Raises:
-        StoredFileError: the file is missing or damaged; names it and the remedy.
+    The tensors are on the CPU, and the record is empty if none was written. `remedy` is the advice
+    of the error, such as "make the camouflage again".
     """
     if not Path(path).is_file():
         raise StoredFileError(f"{path} is missing; {remedy}.")
