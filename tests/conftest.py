@@ -1,6 +1,7 @@
 """What holds in all tests.
 
-Shape annotations are checked, commands judge on few scenes, and equal figures are drawn once.
+Shape annotations are checked but in whole runs, commands judge on few scenes, and equal figures are
+drawn once.
 
 Each worker has one thread, because two workers share two cores.
 """
@@ -10,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from jaxtyping import config as jaxtyping
 from jaxtyping import install_import_hook
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -22,6 +24,9 @@ SHAPED = [
     if "jaxtyping import" in file.read_text(encoding="utf-8")
 ]
 install_import_hook(SHAPED, "beartype.beartype")
+# Checking shapes takes 30 % of the time of what renders or attacks, and the tests of each room have
+# checked them.
+WHOLE_RUNS = {"assessment", "cli", "generator", "hostile", "reproduction"}
 
 import pytest  # noqa: E402
 import torch  # noqa: E402
@@ -52,6 +57,13 @@ def drawn_once() -> Iterator[None]:
     """A report whose numbers stay draws no figure again."""
     with figures_are_drawn_once():
         yield
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Checks shapes in the tests of one room, and not in whole runs."""
+    whole = item.get_closest_marker("slow") or WHOLE_RUNS & set(item.path.parts)
+    jaxtyping.update("jaxtyping_disable", bool(whole))
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -72,7 +72,7 @@ def test_other_settings_are_refused_and_named(
     assert bytes_of(finished) == contents
 
 
-def test_a_detector_that_finds_nothing_without_camouflage_is_refused(
+def test_a_detector_that_finds_nothing_is_refused_and_the_rest_is_done_once_it_does(
     copied, skyproof: Skyproof
 ) -> None:
     """With a threshold above every score there is no success rate.
@@ -86,11 +86,7 @@ def test_a_detector_that_finds_nothing_without_camouflage_is_refused(
     skyproof(*TINY, "--out", folder).refused("retinanet finds none of the", "threshold of 1")
     assert not (folder / "scores" / "test-0").exists()
     card.write_text(good)
-    assert skyproof(*TINY, "--out", folder).code == 0
-
-
-def test_every_step_is_announced_without_a_terminal(copied, skyproof: Skyproof) -> None:
-    folder = copied("scores", "report.html")
+    # What is left is done, and announced without a terminal.
     answer = skyproof(*TINY, "--out", folder)
     assert answer.code == 0
     assert "[15/16] score test-0 (about " in answer.out
@@ -153,12 +149,23 @@ BESIDE_RANDOM = {
 WITH_CYCLES = [*TINY, "--cycles", "--blender", "/opt/blender"]
 
 
-def test_cycles_is_added_to_a_finished_demo(
-    copied: Callable[..., Path], skyproof: Skyproof, blender: list[str]
+def test_cycles_is_added_to_a_finished_run_and_goes_on_where_it_was_stopped(
+    copied: Callable[..., Path],
+    skyproof: Skyproof,
+    blender: list[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     folder = copied()
+
+    def stop(*given: object) -> None:
+        raise KeyboardInterrupt
+
     before = bytes_of(folder)
     page = (folder / "report.html").read_text()
+    with monkeypatch.context() as patch:
+        patch.setattr("skyproof.assessment.judging.write_report", stop)
+        assert skyproof(*WITH_CYCLES, "--out", folder).code == 130
+    # The older page does not count as finished, and no scene is drawn again.
     answer = skyproof(*WITH_CYCLES, "--out", folder)
     assert answer.code == 0, answer.err
     assert blender == ["test-cycles", "test-cycles"]
@@ -191,28 +198,7 @@ def test_cycles_is_added_to_a_finished_demo(
     for flags in (WITH_CYCLES, TINY):
         assert "[" not in skyproof(*flags, "--out", folder).out
     assert bytes_of(folder) == after
-
-
-def test_cycles_goes_on_where_it_was_stopped(
-    copied: Callable[..., Path],
-    skyproof: Skyproof,
-    blender: list[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    folder = copied()
-
-    def stop(*given: object) -> None:
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr("skyproof.assessment.judging.write_report", stop)
-        assert skyproof(*WITH_CYCLES, "--out", folder).code == 130
-    assert blender == ["test-cycles", "test-cycles"]
-    # The older page does not count as finished.
-    answer = skyproof(*WITH_CYCLES, "--out", folder)
-    assert answer.code == 0, answer.err
-    assert blender == ["test-cycles", "test-cycles"]
-    assert "Cycles" in (folder / "report.html").read_text()
+    # A page that is older than the scores is written again.
     (folder / "report.html").write_text("old")
     os.utime(folder / "report.html", (0, 0))
     assert skyproof(*WITH_CYCLES, "--out", folder).code == 0

@@ -199,6 +199,8 @@ def test_killed_in_the_middle(
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
 
 
+@pytest.mark.blender
+@pytest.mark.usefixtures("blender")
 def test_score_refuses_an_original_of_the_other_renderer(
     finished: Path, tmp_path: Path, skyproof: Skyproof, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -33,6 +33,7 @@ _VIEWS = ((-90.0, 90.0), (-90.0, 0.0), (40.0, 30.0))
 _WIDTH_PX, _HEIGHT_PX, _CAPTION_PX = 320, 200, 16
 _GROUND = 0.45
 _PORTRAIT_SIDE_M = 6.0
+_PORTRAIT_GSD_M = 0.02
 _SHADOW_M = 0.4
 _SUN = Sun(azimuth_rad=math.radians(140), elevation_rad=math.radians(48))
 
@@ -94,7 +95,11 @@ def portrait(
     for tilt_rad in (0.0, math.radians(40)):
         for worn in (vehicles, camouflaged):
             pictures = close_up(
-                worn, tilt_rad=tilt_rad, heading_rad=math.radians(12), gsd_m=0.02, side_m=side_m
+                worn,
+                tilt_rad=tilt_rad,
+                heading_rad=math.radians(12),
+                gsd_m=_PORTRAIT_GSD_M,
+                side_m=side_m,
             )
             rows.append(torch.cat(list(pictures), dim=2))
     return torch.cat(rows, dim=1)
