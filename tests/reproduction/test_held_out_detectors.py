@@ -17,7 +17,7 @@ from skyproof.reproduction.held_out_detectors import (
     HeldOutDetector,
     new_tables,
     read_held_out,
-    store_tables,
+    store_detectors,
     stored_tables,
 )
 from skyproof.reproduction.layout import PaperLayout
@@ -123,7 +123,7 @@ def test_they_are_kept_in_the_run_folder_and_stay_as_they_are(tmp_path: Path) ->
     layout = PaperLayout(tmp_path / "run")
     first = detector(tmp_path / "first")
     given = read_held_out([f"real={first}"])
-    store_tables(layout, new_tables(layout, PRESET, given))
+    store_detectors(layout, PRESET, new_tables(layout, PRESET, given))
     assert stored_tables(layout) == {"real": ("retinanet",)}
     copied = layout.table("real").detector("retinanet")
     # Neither the log of the training nor anything of another's folder is needed.
@@ -189,7 +189,7 @@ def test_a_finished_run_is_given_only_what_held_out_detectors_add(
     run = tmp_path / "run"
     layout = PaperLayout(run)
     given = read_held_out([str(detector(tmp_path / "first"))])
-    store_tables(layout, new_tables(layout, PRESET, given))
+    store_detectors(layout, PRESET, new_tables(layout, PRESET, given))
     for age, finished in enumerate(reproduction_plan(PRESET, Path()).steps):
         leave(run, [finished], 1000 + age)
     card = layout.table("judges").detector("retinanet") / "detector.json"

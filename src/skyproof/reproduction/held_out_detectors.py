@@ -146,18 +146,10 @@ def new_tables(
     return {table: detectors for table, detectors in given.items() if table not in known}
 
 
-def store_tables(layout: PaperLayout, tables: Mapping[str, Sequence[HeldOutDetector]]) -> None:
-    """Copies detectors into a run folder, a table at a time, each whole or not at all."""
-    from skyproof.detectors.loaded import copy_detector
-
-    for table, detectors in tables.items():
-        with finished_folder(layout.held_out / table) as folder:
-            for each in detectors:
-                copy_detector(each.folder, Layout(folder).detector(each.card.name), [PRECHECK_FILE])
-
-
-def store_reference_detectors(layout: Layout, preset: Preset) -> None:
-    """Copies the attacked detectors that come with skyproof, with their prechecks, into a run."""
+def store_detectors(
+    layout: PaperLayout, preset: Preset, tables: Mapping[str, Sequence[HeldOutDetector]]
+) -> None:
+    """Copies the detectors that a run does not train, a table at a time, whole or not at all."""
     from skyproof.detectors.loaded import copy_detector
 
     for name in preset.reference:
@@ -165,3 +157,7 @@ def store_reference_detectors(layout: Layout, preset: Preset) -> None:
             drop_empty_folder(layout.detector(name))
             with finished_folder(layout.detector(name)) as folder:
                 copy_detector(reference_folder(name), folder, [PRECHECK_FILE])
+    for table, detectors in tables.items():
+        with finished_folder(layout.held_out / table) as folder:
+            for each in detectors:
+                copy_detector(each.folder, Layout(folder).detector(each.card.name), [PRECHECK_FILE])

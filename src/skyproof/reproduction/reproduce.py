@@ -20,8 +20,7 @@ from skyproof.reproduction.held_out_detectors import (
     HeldOutDetector,
     new_tables,
     read_held_out,
-    store_reference_detectors,
-    store_tables,
+    store_detectors,
     stored_tables,
 )
 from skyproof.reproduction.layout import PaperLayout
@@ -51,6 +50,9 @@ def reproduce(asked: Reproduce) -> None:
     run = Run(asked.out, {"preset": name, **values}, plan.steps)
     on_slurm = asked.slurm_jobs is not None
     executor = ["--executor", "slurm", "--jobs", str(count)]
+    if not on_slurm:
+        executor = ["--executor", "local", "--cores", str(count)]
+        executor += ["--resources", "gpu=1"] if preset.resources.gpu else []
     if asked.dry_run:
         say(f"Steps: {plan.in_words}.")
         say("By hand, or with options for a cluster's executor:")
@@ -62,8 +64,7 @@ def reproduce(asked: Reproduce) -> None:
     if on_slurm:
         wait_for_earlier_jobs(asked.out)
     with run.begun(asked.device) as hold:
-        store_reference_detectors(layout, preset)
-        store_tables(layout, new_tables(layout, preset, given))
+        store_detectors(layout, preset, new_tables(layout, preset, given))
         say(
             f"skyproof reproduce, preset {name}: {plan.in_words}; {count} "
             f"{'jobs of Slurm' if on_slurm else 'cores'}, run folder {asked.out}"
@@ -71,9 +72,6 @@ def reproduce(asked: Reproduce) -> None:
         if count == 1 and not on_slurm:
             run.do()
         else:
-            if not on_slurm:
-                executor = ["--executor", "local", "--cores", str(count)]
-                executor += ["--resources", "gpu=1"] if preset.resources.gpu else []
             start = snakemake_words(asked.out, blender, asked.device)
             run_side_by_side(plan, run, start + executor, count, hold)
     page = layout.tables / "README.md"
