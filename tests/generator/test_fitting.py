@@ -112,12 +112,10 @@ def test_fits_are_stored_and_read_again(
 ) -> None:
     _, _, fits = made
     stored = Fits([fit.id for fit in fits])
-    for fit in fits:
-        stored.add(fit)
+    stored.done = list(fits)
     again = Fits([fit.id for fit in fits])
     again.load_state_dict(stored.state_dict())
-    for index, fit in enumerate(fits):
-        one = again.fit(index)
+    for one, fit in zip(again.done, fits, strict=True):
         assert (one.id, one.prototype, one.reversed) == (fit.id, fit.prototype, fit.reversed)
         assert one.stretch == pytest.approx(fit.stretch)
         assert torch.equal(one.detail, fit.detail)

@@ -28,6 +28,7 @@ LOOSE = 1.0
 
 def shorten(patch: pytest.MonkeyPatch) -> None:
     patch.setattr("skyproof.generator.learning.LARGEST_MISFIT", LOOSE)
+    patch.setattr("skyproof.generator.learning.LEAST_VEHICLES", 5)
     for name, few in (("SAMPLES", 2), ("ROWS_BETWEEN", 1), ("STEPS_BETWEEN", 2), ("TURNS", 2)):
         patch.setattr(f"skyproof.generator.sheets._{name}", few)
 
@@ -43,7 +44,7 @@ def layered(photographs: Photographs, tmp_path_factory: pytest.TempPathFactory) 
     folder = tmp_path_factory.mktemp("layered") / "town"
     with pytest.MonkeyPatch.context() as patch:
         shorten(patch)
-        learn_vehicles(imagery_of(photographs), SETTINGS, folder, least=5)
+        learn_vehicles(imagery_of(photographs), SETTINGS, folder)
     return folder
 
 
@@ -84,7 +85,6 @@ def test_a_stopped_run_ends_at_the_same_bytes(
             imagery_of(photographs),
             settings,
             tmp_path / name,
-            least=5,
             progress=stop,
         )
 
@@ -113,7 +113,7 @@ def test_a_finished_run_is_not_done_again(
     shutil.copytree(layered, tmp_path / "town")
 
     def learn() -> dict[str, object]:
-        return learn_vehicles(imagery_of(photographs), SETTINGS, tmp_path / "town", least=5)
+        return learn_vehicles(imagery_of(photographs), SETTINGS, tmp_path / "town")
 
     first = learn()
     before = files(tmp_path / "town")
@@ -123,7 +123,7 @@ def test_a_finished_run_is_not_done_again(
     assert times == {path: path.stat().st_mtime_ns for path in times}
     other = replace(SETTINGS, seed=1)
     with pytest.raises(RunFolderError, match="other settings"):
-        learn_vehicles(imagery_of(photographs), other, tmp_path / "town", least=5)
+        learn_vehicles(imagery_of(photographs), other, tmp_path / "town")
 
 
 def test_fits_of_other_photographs_under_the_same_names_are_refused(
@@ -134,7 +134,7 @@ def test_fits_of_other_photographs_under_the_same_names_are_refused(
 
     def learn(name: str) -> None:
         imagery = Imagery(*(BackgroundSet.open(tmp_path / each) for each in ("tiles", "cleared")))
-        learn_vehicles([imagery], SETTINGS, tmp_path / name, least=5)
+        learn_vehicles([imagery], SETTINGS, tmp_path / name)
 
     shutil.copytree(layered, tmp_path / "town")
     shutil.copytree(layered / "fits", tmp_path / "fits-only" / "fits")
@@ -165,7 +165,7 @@ def test_photographs_of_two_cameras_are_fitted_with_their_own(
 ) -> None:
     other = take_photographs(tmp_path / "other", 2)
     both = [*imagery_of(photographs), Imagery(other.tiles, other.cleared)]
-    record = learn_vehicles(both, SETTINGS, tmp_path / "both", least=11)
+    record = learn_vehicles(both, SETTINGS, tmp_path / "both")
     assert record["vehicles"] == 11
     rows = [
         json.loads(line) for line in (tmp_path / "both/fits/steps.jsonl").read_text().splitlines()
@@ -194,7 +194,10 @@ def test_photographs_of_another_resolution_are_refused(
         )
 
 
-def test_too_few_vehicles_are_refused(photographs: Photographs, tmp_path: Path) -> None:
+def test_too_few_vehicles_are_refused(
+    photographs: Photographs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("skyproof.generator.learning.LEAST_VEHICLES", 50)
     with pytest.raises(ConfigurationError, match="at least 50 that can be fitted, got 9"):
         learn_vehicles(imagery_of(photographs), SETTINGS, tmp_path / "town")
     assert not (tmp_path / "town").exists()
@@ -206,13 +209,12 @@ def test_bad_fits_are_dropped_and_counted(
     shutil.copytree(layered / "fits", tmp_path / "town" / "fits")
     monkeypatch.setattr("skyproof.generator.learning.LARGEST_MISFIT", 0.0)
     with pytest.raises(ConfigurationError, match=r"got 0 .*left out: 9 because its fit is off"):
-        learn_vehicles(imagery_of(photographs), SETTINGS, tmp_path / "town", least=5)
+        learn_vehicles(imagery_of(photographs), SETTINGS, tmp_path / "town")
 
 
 def test_the_commands_lead_from_photographs_to_fleets(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(learn_vehicles.__kwdefaults__, "least", 6)
     take_photographs(tmp_path, 6)
     fit = ["bodies", "1", "candidates", "1", "choose-steps", "1", "steps", "1"]
     options = [

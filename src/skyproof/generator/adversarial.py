@@ -77,11 +77,7 @@ class Network(nn.Module):
 
 
 class AdversarialGenerator:
-    """Vehicles that a network makes of random numbers.
-
-    Attributes:
-        network: trained.
-    """
+    """Vehicles that a trained network makes of random numbers."""
 
     method = "gan"
 

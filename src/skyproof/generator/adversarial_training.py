@@ -3,7 +3,7 @@
 import copy
 import hashlib
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -54,20 +54,9 @@ def _closed(maps: Tensor) -> Tensor:
     return F.pad(around, (0, 0, 1, 1), mode="replicate")
 
 
-@dataclass(frozen=True)
-class _Real:
-    """What the discriminator sees of fitted vehicles."""
-
-    albedo: Tensor
-    parts: Tensor
-    moved: Tensor
-    seen: Tensor
-
-
-def _judged(albedo: Tensor, parts: Tensor, moved: Tensor, seen: Tensor, shift: int) -> Tensor:
-    """Puts maps together as the discriminator sees them: texels that nobody saw have no colour."""
-    half = torch.cat((albedo * seen, parts, moved, seen), dim=1)
-    maps = whole(half)
+def _judged(maps: Tensor, seen: Tensor, shift: int) -> Tensor:
+    """Shows half maps as the discriminator sees them: texels that nobody saw have no colour."""
+    maps = whole(torch.cat((maps[:, :3] * seen, maps[:, 3:], seen), dim=1))
     if shift:
         maps = F.pad(maps, (0, 0, _JITTER, _JITTER), mode="replicate")
         maps = maps[:, :, _JITTER + shift : _JITTER + shift + MAP_PX]
@@ -80,8 +69,7 @@ def _judged(albedo: Tensor, parts: Tensor, moved: Tensor, seen: Tensor, shift: i
 def learn_adversarially(
     vehicles: FittedVehicles,
     settings: AdversarialSettings,
-    folder: str | Path,
-    *,
+    folder: Path,
     seed: int = 0,
     device: torch.device | str = "cpu",
     on_step: Callable[[dict[str, Any]], None] | None = None,
@@ -97,9 +85,8 @@ def learn_adversarially(
         (grids - mean) / spread, size=(MAP_PX, MAP_PX // 2), mode="bilinear", align_corners=True
     )
     # What is seen a little counts almost fully: the measure is one of light, not of knowledge.
-    seen = (vehicles.seen / 0.1).clamp(max=1.0)[:, None]
-    shown = (vehicles.albedo, vehicles.parts, moved, seen)
-    real = _Real(*(maps.to(device) for maps in shown))
+    seen = (vehicles.seen / 0.1).clamp(max=1.0)[:, None].to(device)
+    real = torch.cat((vehicles.albedo, vehicles.parts, moved), dim=1).to(device)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(int(torch.randint(2**62, (), generator=generator_of(seed, "gan"))))
         network, judge = Network(mean, spread).to(device), _Discriminator().to(device)
@@ -110,7 +97,7 @@ def learn_adversarially(
         torch.optim.Adam(judge.parameters(), lr=4 * rate, betas=(0.0, 0.9)),
     )
     loop = Loop(
-        Path(folder),
+        folder,
         {"settings": asdict(settings), "seed": seed, "vehicles": _digest(vehicles)},
         settings.steps,
         _CHECKPOINT_EVERY,
@@ -128,13 +115,13 @@ def learn_adversarially(
     loop.resume()
     for step in loop:
         generator = generator_of(seed, "step", step)
-        losses = _step(network, judge, optimisers, real, settings.batch_size, generator)
+        losses = _step(network, judge, optimisers, (real, seen), settings.batch_size, generator)
         with torch.no_grad():
             for kept, current in zip(average.parameters(), network.parameters(), strict=True):
                 kept.lerp_(current, 1 - _EMA)
         loop.report({"step": step, **losses})
         if step % settings.preview_every == 0:
-            preview = Path(folder) / "previews" / f"{step:06d}.png"
+            preview = folder / "previews" / f"{step:06d}.png"
             write_preview(preview, AdversarialGenerator(copy.deepcopy(average).cpu()), seed)
     return AdversarialGenerator(average.cpu())
 
@@ -148,37 +135,35 @@ def _step(
     network: Network,
     judge: _Discriminator,
     optimisers: tuple[torch.optim.Optimizer, torch.optim.Optimizer],
-    real: _Real,
+    real: tuple[Tensor, Tensor],
     count: int,
     generator: torch.Generator,
 ) -> dict[str, float]:
     """One step of the discriminator, and one of the generator; hinge losses."""
+    fitted, seen = real
 
     def draw() -> Tensor:
-        return torch.randint(len(real.albedo), (count,), generator=generator)
+        return torch.randint(len(fitted), (count,), generator=generator)
 
     def shift() -> int:
         return int(torch.randint(-_JITTER, _JITTER + 1, (), generator=generator))
 
-    def made() -> tuple[Tensor, Tensor, Tensor]:
+    def made() -> Tensor:
         latent = torch.randn(count, LATENT, generator=generator)
-        maps: tuple[Tensor, Tensor, Tensor] = network(latent.to(real.albedo.device))
-        return maps
+        return torch.cat(network(latent.to(fitted.device)), dim=1)
 
-    rows, others = draw(), draw()
+    rows = draw()
+    others = draw()
     with torch.no_grad():
         fakes = made()
-    fitted = _judged(
-        real.albedo[rows], real.parts[rows], real.moved[rows], real.seen[rows], shift()
-    )
-    on_real = judge(fitted)
-    on_fake = judge(_judged(*fakes, real.seen[others], shift()))
+    on_real = judge(_judged(fitted[rows], seen[rows], shift()))
+    on_fake = judge(_judged(fakes, seen[others], shift()))
     judge_loss = F.relu(1 - on_real).mean() + F.relu(1 + on_fake).mean()
     optimisers[1].zero_grad()
     judge_loss.backward()
     optimisers[1].step()
 
-    loss = -judge(_judged(*made(), real.seen[draw()], shift())).mean()
+    loss = -judge(_judged(made(), seen[draw()], shift())).mean()
     optimisers[0].zero_grad()
     loss.backward()
     optimisers[0].step()

@@ -33,7 +33,6 @@ class Fit:
         prototype: number of the fitted body.
         reversed: whether the nose points against the given heading.
         shift_m: shift along and across the vehicle, from the given place.
-        turn_rad: turn from the given heading.
         stretch: factors of the body's length and width.
         paint, glass: sRGB.
         detail: left half of the map on top of the coloured layers, sRGB.
@@ -65,46 +64,40 @@ class Fits:
 
     def __init__(self, ids: Sequence[str]) -> None:
         self._ids = tuple(ids)
-        self._rows: list[dict[str, Tensor]] = []
-
-    def __len__(self) -> int:
-        return len(self._rows)
-
-    def add(self, fit: Fit) -> None:
-        """Takes the next one."""
-        self._rows.append({name: torch.as_tensor(getattr(fit, name)) for name in _STORED})
-
-    def fit(self, index: int) -> Fit:
-        """Gives one of them."""
-        values: dict[str, Any] = {}
-        for name, value in self._rows[index].items():
-            pair = name in ("shift_m", "stretch")
-            values[name] = tuple(value.tolist()) if pair else value if value.ndim else value.item()
-        return Fit(self._ids[index], **values)
+        self.done: list[Fit] = []
 
     def state_dict(self) -> dict[str, Any]:
-        """Gives all rows, in one tensor for each value."""
-        stored = _STORED if self._rows else ()
-        return {name: torch.stack([row[name] for row in self._rows]) for name in stored}
+        """Gives all fits, in one tensor for each value."""
+        stored = _STORED if self.done else ()
+        return {
+            name: torch.stack([torch.as_tensor(getattr(fit, name)) for fit in self.done])
+            for name in stored
+        }
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Takes over what `state_dict` gave."""
-        rows = zip(*state_dict.values(), strict=True)
-        self._rows = [
-            {name: value.clone() for name, value in zip(state_dict, row, strict=True)}
-            for row in rows
+        rows = zip(*(state_dict[name] for name in _STORED if state_dict), strict=True)
+        self.done = [
+            Fit(name, *map(_value, _STORED, row))
+            for name, row in zip(self._ids, rows, strict=False)
         ]
+
+
+def _value(name: str, stored: Tensor) -> Any:
+    if name in ("shift_m", "stretch"):
+        return tuple(stored.tolist())
+    return stored.clone() if stored.ndim else stored.item()
 
 
 @dataclass(frozen=True)
 class FittedVehicles:
-    """What a generator learns from: one row per vehicle that was fitted well.
+    """What a generator learns from: one row per vehicle that was fitted well; colours are sRGB.
 
     Attributes:
-        dimensions: dimensions in metres, as stretched by the fit.
-        detail: left half of the map on top of the coloured layers, sRGB.
+        dimensions: as stretched by the fit.
+        detail: left half of the map on top of the coloured layers.
         seen: how much of each of its texels the photograph shows, 0 to 1.
-        albedo: left half of the whole fitted map, sRGB.
+        albedo: left half of the whole fitted map.
         parts: share of each part in every texel, left half.
         vertices: surface of the fitted body, metres, vehicle axes.
     """
@@ -127,26 +120,23 @@ def fitted_vehicles(fits: Sequence[Fit], prototypes: Sequence[Prototype]) -> Fit
     """Puts fits together with the bodies that they were fitted with."""
     half = MAP_PX // 2
     chosen = [prototypes[fit.prototype] for fit in fits]
-    albedo, parts, vertices = [], [], []
+    albedo: list[Tensor] = []
+    parts: list[Tensor] = []
+    vertices: list[Tensor] = []
+    dimensions = []
     for fit, prototype in zip(fits, chosen, strict=True):
         layers = prototype.layers.at_side(MAP_PX)
-        albedo.append(
-            (layers.coloured(fit.paint, fit.glass)[..., :half] + fit.detail).clamp(0.0, 1.0)
-        )
+        coloured = layers.coloured(fit.paint, fit.glass)[..., :half]
+        albedo.append((coloured + fit.detail).clamp(0.0, 1.0))
         labels = F.one_hot(prototype.parts.long(), 7).permute(2, 0, 1).float()
         parts.append(F.avg_pool2d(labels, labels.shape[-1] // MAP_PX)[..., :half])
         vertices.append(prototype.vertices * torch.tensor([*fit.stretch, 1.0]))
+        dimensions.append(_stretched(prototype.dimensions, *fit.stretch))
+    own = [[getattr(fit, name) for fit in fits] for name in ("paint", "glass", "detail", "seen")]
     return FittedVehicles(
         tuple(prototype.body_type for prototype in chosen),
-        tuple(
-            stretched(prototype.dimensions, *fit.stretch)
-            for fit, prototype in zip(fits, chosen, strict=True)
-        ),
-        *(
-            torch.stack([getattr(fit, name) for fit in fits])
-            for name in ("paint", "glass", "detail", "seen")
-        ),
-        *map(torch.stack, (albedo, parts, vertices)),
+        tuple(dimensions),
+        *map(torch.stack, (*own, albedo, parts, vertices)),
     )
 
 
@@ -156,7 +146,7 @@ def fitted_texture(fit: Fit, prototype: Prototype) -> Float[Tensor, "3 512 512"]
     return (prototype.layers.coloured(fit.paint, fit.glass) + detail).clamp(0.0, 1.0)
 
 
-def stretched(dimensions: BodyDimensions, along: float, across: float) -> BodyDimensions:
+def _stretched(dimensions: BodyDimensions, along: float, across: float) -> BodyDimensions:
     """Gives the dimensions of a body that is so many times as long and as wide."""
     changed = {name: getattr(dimensions, name) * along for name in _ALONG}
     changed |= {name: getattr(dimensions, name) * across for name in _ACROSS}

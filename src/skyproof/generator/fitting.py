@@ -122,11 +122,7 @@ class _Bodies:
 class Fitter:
     """Fits photographed vehicles one after the other; each fit depends on its own picture alone.
 
-    Args:
-        tiles: photographs with their vehicles.
-        cleared: the same without them.
-        prototypes: bodies to begin with.
-        settings: steps and candidates.
+    `cleared` has the photographs of `tiles` without their vehicles.
     """
 
     def __init__(

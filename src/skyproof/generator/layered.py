@@ -113,12 +113,9 @@ class LayeredGenerator:
         return body_type, torch.cat((body, rest))
 
     def decode(self, body_type: str, latent: Float[Tensor, " L"], seed: int) -> LearntVehicle:
-        """Draws the vehicle that a latent vector stands for.
+        """Draws the vehicle of a body type that a latent vector stands for.
 
-        Args:
-            body_type: decides trim.
-            latent: as `sample_latent` gives it.
-            seed: of pillars, roof rails and dust, which no photograph shows.
+        The seed decides pillars, roof rails and dust, which no photograph shows.
         """
         bodies = len(_NAMES)
         dimensions = BodyDimensions(*latent[:bodies].double().tolist())

@@ -55,7 +55,6 @@ def learn_vehicles(
     settings: LearnSettings,
     folder: Path,
     *,
-    least: int = LEAST_VEHICLES,
     device: torch.device | str = "cpu",
     progress: Callable[[str, int, int], None] | None = None,
 ) -> dict[str, Any]:
@@ -69,7 +68,6 @@ def learn_vehicles(
         settings: how they are fitted, and by which method one learns from them.
         folder: gets the generator (see `load_generator`), `fits/` with sheets of all fits, and
             sheets of samples (see `write_sample_sheets`).
-        least: fewer vehicles than this, found or fitted well, are refused.
         device: where the network of "gan" is trained; all else works on the CPU.
         progress: called with ("fit" or "learn", done, in all).
 
@@ -86,7 +84,7 @@ def learn_vehicles(
     found = [photographed_vehicles(each.tiles, each.cleared) for each in imagery]
     vehicles = [vehicle for own, _ in found for vehicle in own]
     left_out = sum((Counter(why) for _, why in found), Counter[str]())
-    _refuse_few(len(vehicles), least, left_out, imagery)
+    _refuse_few(len(vehicles), left_out, imagery)
     identity = {
         "settings": asdict(settings),
         "vehicles": [vehicle.scene.id for vehicle in vehicles],
@@ -105,24 +103,20 @@ def learn_vehicles(
         kept = [fit for fit in fits if fit.misfit <= LARGEST_MISFIT]
         if len(kept) < len(fits):
             left_out[f"its fit is off by more than {LARGEST_MISFIT:g}"] = len(fits) - len(kept)
-        _refuse_few(len(kept), least, left_out, imagery)
+        _refuse_few(len(kept), left_out, imagery)
         learnt_from = fitted_vehicles(kept, prototypes)
+
+        def report(row: dict[str, Any]) -> None:
+            if progress is not None:
+                progress("learn", row["step"], settings.gan.steps)
+
         generator: LayeredGenerator | AdversarialGenerator
         if settings.method == "layered":
             generator = LayeredGenerator.learn(learnt_from)
         else:
-
-            def report(row: dict[str, Any]) -> None:
-                if progress is not None:
-                    progress("learn", row["step"], settings.gan.steps)
-
+            place = folder / "gan"
             generator = learn_adversarially(
-                learnt_from,
-                settings.gan,
-                folder / "gan",
-                seed=settings.seed,
-                device=device,
-                on_step=report,
+                learnt_from, settings.gan, place, settings.seed, device, report
             )
         record = {
             **_record(settings, imagery, vehicles, kept, left_out, prototypes),
@@ -186,22 +180,13 @@ def _fit_all(
     )
     loop.resume()
     for step in loop:
-        vehicle = vehicles[step - 1]
-        fit = fitters[step - 1](vehicle)
-        fits.add(fit)
-        loop.report(
-            {
-                "step": step,
-                "vehicle": fit.id,
-                "misfit": fit.misfit,
-                "prototype": fit.prototype,
-                "reversed": fit.reversed,
-                "runner_up": fit.runner_up,
-            }
-        )
+        fit = fitters[step - 1](vehicles[step - 1])
+        fits.done.append(fit)
+        told = ("misfit", "prototype", "reversed", "runner_up")
+        loop.report({"step": step, "vehicle": fit.id} | {name: getattr(fit, name) for name in told})
         if progress is not None:
             progress("fit", step, len(vehicles))
-    return [fits.fit(index) for index in range(len(fits))]
+    return fits.done
 
 
 def _refuse_unfit(imagery: Sequence[Imagery]) -> None:
@@ -219,15 +204,13 @@ def _refuse_unfit(imagery: Sequence[Imagery]) -> None:
             )
 
 
-def _refuse_few(
-    count: int, least: int, left_out: Mapping[str, int], imagery: Sequence[Imagery]
-) -> None:
-    if count >= least:
+def _refuse_few(count: int, left_out: Mapping[str, int], imagery: Sequence[Imagery]) -> None:
+    if count >= LEAST_VEHICLES:
         return
     reasons = ", ".join(f"{number} because {why}" for why, number in left_out.items())
     folders = ", ".join(str(each.cleared.folder) for each in imagery)
     raise ConfigurationError(
-        f"Learning vehicles expects at least {least} that can be fitted, got {count} of "
+        f"Learning vehicles expects at least {LEAST_VEHICLES} that can be fitted, got {count} of "
         f"{folders}{f' (left out: {reasons})' if reasons else ''}; give more imagery."
     )
 

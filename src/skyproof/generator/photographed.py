@@ -22,9 +22,14 @@ LEAST_PX = 20.0
 _WINDOW_M = 9.0
 _LARGEST_COVERED = 0.1
 _MARGIN_M = 0.4
+_TOGETHER = "give the tiles, and what skyproof clear made of them"
 _OVERCAST_FROM = 0.99
 # Under an overcast sky the sun's place is of no consequence.
 _ANY_SUN = Sun(0.0, math.pi / 3)
+
+
+Rectangle = tuple[float, float, float, float, float]
+"""The middle of a vehicle to the east and north, its heading, length and width."""
 
 
 @dataclass(frozen=True)
@@ -33,9 +38,7 @@ class Photographed:
 
     Attributes:
         scene: on the cleared tile, with one placement; of its two headings it has the first one.
-        heading_from: how the heading is known.
-        length_m: as the label says, or its box lets one guess.
-        width_m: the same.
+        length_m, width_m: as the label says, or its box lets one guess.
         others: the middles of other vehicles nearby, with heading, length and width, in metres and
             radians of the scene; their pixels are not this vehicle's.
     """
@@ -44,21 +47,15 @@ class Photographed:
     heading_from: HeadingFrom
     length_m: float
     width_m: float
-    others: tuple[tuple[float, float, float, float, float], ...]
+    others: tuple[Rectangle, ...]
 
 
 def photographed_vehicles(
     tiles: BackgroundSet, cleared: BackgroundSet
 ) -> tuple[list[Photographed], dict[str, int]]:
-    """Finds the vehicles that can be fitted.
+    """Finds the vehicles that can be fitted, and counts the others by why they cannot.
 
-    Args:
-        tiles: photographs with their vehicles, as `skyproof ground` cuts them.
-        cleared: the same without them, as `skyproof clear` leaves them: it says where vehicles
-            stood, and how the photographs show light.
-
-    Returns:
-        The vehicles, and how many were left out, by reason.
+    The cleared tiles say where vehicles stood, and how the photographs show light.
 
     Raises:
         ConfigurationError: the two sets do not belong together, or no vehicle can be fitted; says
@@ -67,7 +64,7 @@ def photographed_vehicles(
     if cleared.gsd_m != tiles.gsd_m:
         raise ConfigurationError(
             f"{cleared.folder} has {cleared.gsd_m:g} m per pixel and {tiles.folder} "
-            f"{tiles.gsd_m:g}; give the tiles, and what skyproof clear made of them."
+            f"{tiles.gsd_m:g}; {_TOGETHER}."
         )
     size_px = 2 * math.ceil(_WINDOW_M / 2 / tiles.gsd_m)
     known = {tile.id for tile in tiles.all_tiles()}
@@ -76,8 +73,7 @@ def photographed_vehicles(
     for tile in cleared.all_tiles():
         if tile.id not in known:
             raise ConfigurationError(
-                f"{tiles.folder} has no tile {tile.id}, which {cleared.folder} has; give the "
-                "tiles, and what skyproof clear made of them."
+                f"{tiles.folder} has no tile {tile.id}, which {cleared.folder} has; {_TOGETHER}."
             )
         for number, vehicle in enumerate(tile.removed):
             fault = _fault(vehicle, tile, cleared, size_px)
@@ -94,18 +90,13 @@ def photographed_vehicles(
 
 
 def shown_pixels(vehicle: Photographed, grown_m: float = _MARGIN_M) -> Bool[Tensor, "S S"]:
-    """Says which pixels of its window show a vehicle and the ground next to it.
-
-    Args:
-        vehicle: as it is thought to stand.
-        grown_m: ground on every side.
-    """
+    """Says which pixels of its window show a vehicle, and so much ground on every side."""
     placement = vehicle.scene.placements[0]
     camera = vehicle.scene.camera
     steps = (torch.arange(camera.size_px) + 0.5 - camera.size_px / 2) * camera.gsd_m
     north, east = torch.meshgrid(-steps, steps, indexing="ij")
 
-    def within(rectangle: tuple[float, float, float, float, float], grown_m: float) -> Tensor:
+    def within(rectangle: Rectangle, grown_m: float) -> Tensor:
         x_m, y_m, heading_rad, length_m, width_m = rectangle
         cosine, sine = math.cos(heading_rad), math.sin(heading_rad)
         along = cosine * (east - x_m) + sine * (north - y_m)
@@ -146,7 +137,7 @@ def _photographed(
     centre_y_px = min(max(round(vehicle.y_px), half), tile.height_px - half)
     window = BackgroundWindow(tile.id, centre_x_px, centre_y_px, 0.0)
 
-    def rectangle(stood: RemovedVehicle) -> tuple[float, float, float, float, float]:
+    def rectangle(stood: RemovedVehicle) -> Rectangle:
         return (
             (stood.x_px - centre_x_px) * gsd_m,
             (centre_y_px - stood.y_px) * gsd_m,
@@ -158,13 +149,11 @@ def _photographed(
     x_m, y_m, heading_rad, length_m, width_m = rectangle(vehicle)
     name = f"{tile.id}-{number:03d}"
     light: Light = tile.light or cleared.light
+    placements = [Placement(name, x_m, y_m, heading_rad)]
+    sizes_m = {name: (length_m, width_m, 1.5)}
+    sunny = light.sun is not None
     standing_there = standing(
-        [Placement(name, x_m, y_m, heading_rad)],
-        cleared,
-        window,
-        {name: (length_m, width_m, 1.5)},
-        shadows=light.sun is not None,
-        on_top_from=math.inf,
+        placements, cleared, window, sizes_m, shadows=sunny, on_top_from=math.inf
     )
     scene = Scene(
         id=name,

@@ -62,40 +62,13 @@ def _tensors(layers: Layers) -> tuple[Tensor, Tensor, Tensor]:
 
 @dataclass(frozen=True)
 class Prototype:
-    """A body that was drawn by the rules of `skyproof vehicles`.
-
-    The seed decides trim, pillars and roof. Vertices are in metres and vehicle axes.
-    """
+    """A body that was drawn by the rules of `skyproof vehicles`; metres and vehicle axes."""
 
     body_type: str
     dimensions: BodyDimensions
-    seed: int
     vertices: Float[Tensor, "V 3"]
     layers: Layers
     parts: UInt8[Tensor, "512 512"]
-
-
-def draw_prototype(body_type: str, dimensions: BodyDimensions, seed: int) -> Prototype:
-    """Draws a body of given dimensions; the same again for the same seed."""
-    body = build_body(dimensions)
-    textures = []
-    for paint, glass in ((_BLACK, _BLACK), (_WHITE, _BLACK), (_BLACK, _WHITE)):
-        texture, parts = paint_vehicle(
-            body,
-            body_type,
-            paint=paint,
-            glass=glass,
-            generator=generator_of(seed, "prototype"),
-        )
-        textures.append(texture.float() / 255)
-    # A texel is a mean of its colours, so that differences are shares of them.
-    rest, painted, glazed = textures
-    layers = Layers(
-        rest,
-        (painted - rest).mean(0, keepdim=True).clamp(min=0.0),
-        (glazed - rest).mean(0, keepdim=True).clamp(min=0.0),
-    )
-    return Prototype(body_type, dimensions, seed, body.vertices, layers, parts)
 
 
 def draw_prototypes(body_types: Sequence[str], each: int, seed: int) -> list[Prototype]:
@@ -106,5 +79,23 @@ def draw_prototypes(body_types: Sequence[str], each: int, seed: int) -> list[Pro
             generator = generator_of(seed, body_type, number)
             dimensions = sample_dimensions(body_type, generator=generator)
             own_seed = int(torch.randint(2**31, (1,), generator=generator))
-            prototypes.append(draw_prototype(body_type, dimensions, own_seed))
+            prototypes.append(_prototype(body_type, dimensions, own_seed))
     return prototypes
+
+
+def _prototype(body_type: str, dimensions: BodyDimensions, seed: int) -> Prototype:
+    """Draws a body of given dimensions; the seed decides trim, pillars and roof."""
+    body = build_body(dimensions)
+    textures = []
+    for paint, glass in ((_BLACK, _BLACK), (_WHITE, _BLACK), (_BLACK, _WHITE)):
+        trim = generator_of(seed, "prototype")
+        texture, parts = paint_vehicle(body, body_type, paint=paint, glass=glass, generator=trim)
+        textures.append(texture.float() / 255)
+    # A texel is a mean of its colours, so that differences are shares of them.
+    rest, painted, glazed = textures
+    layers = Layers(
+        rest,
+        (painted - rest).mean(0, keepdim=True).clamp(min=0.0),
+        (glazed - rest).mean(0, keepdim=True).clamp(min=0.0),
+    )
+    return Prototype(body_type, dimensions, body.vertices, layers, parts)

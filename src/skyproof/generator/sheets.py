@@ -42,14 +42,8 @@ def write_fit_sheets(
     """Writes all fits, worst first, as sheets `00001.png` and so on.
 
     Each row has the photograph, the fit, their difference twice enlarged, the vehicle cut out of
-    the photograph, the texture, the part map and how much of it the photograph shows.
-
-    Args:
-        folder: gets the pictures.
-        fitters: which made each of the fits.
-        vehicles: the photographed ones.
-        fits: one each.
-        prototypes: the bodies they began with.
+    the photograph, the texture, the part map and how much of it the photograph shows. Every fit has
+    its own fitter and vehicle.
     """
     order = sorted(range(len(fits)), key=lambda index: -fits[index].misfit)
     for number, start in enumerate(range(0, len(order), _ROWS), start=1):
@@ -64,12 +58,9 @@ def write_fit_sheets(
 def write_sample_sheets(folder: Path, vehicles: VehicleGenerator, seed: int) -> None:
     """Writes what shows whether a generator is any good.
 
-    Args:
-        folder: gets `samples.png`, 24 samples from above, finely and as detectors see them, and
-            their part maps; `between.png`, where every row leads from one sample to another; and
-            `turntable.png`, some samples aslant, from all sides.
-        vehicles: the generator.
-        seed: of the samples.
+    These are `samples.png`, 24 samples from above, finely and as detectors see them, and their part
+    maps; `between.png`, where every row leads from one sample to another; and `turntable.png`, some
+    samples aslant, from all sides.
     """
     generator = generator_of(seed, "sheet")
     fleet = sample_learnt_fleet(vehicles, FleetSettings(_SAMPLES), generator=generator)
