@@ -31,10 +31,10 @@ def drawn(seed, size=512):
 
 
 def test_places_in_the_cube_by_hand():
-    counts = count_colours("T-U", colours(BLACK, RED, DARK_BLUE, GREY))
+    counts = count_colours("T-U", colours(BLACK, RED, DARK_BLUE, GREY), torch.ones(4))
     # 16 is the first value that is not dark; 240 the first that is bright.
     assert (counts.faces, counts.edges, counts.corners) == (0.75, 0.25, 0.25)
-    bright = count_colours("T-U", colours((240, 239, 16), (240, 240, 128)))
+    bright = count_colours("T-U", colours((240, 239, 16), (240, 240, 128)), torch.ones(2))
     assert (bright.faces, bright.edges, bright.corners) == (1.0, 0.5, 0.0)
     red, green, blue = counts.histogram
     assert (red[0], red[8], red[15]) == (0.25, 0.5, 0.25)
@@ -51,7 +51,7 @@ def test_each_counts_by_its_area():
 
 
 def test_random_colours_are_where_the_docstring_says():
-    counts = count_colours("T-U", drawn(0))
+    counts = count_colours("T-U", drawn(0), torch.ones(512, 512))
     assert counts.faces == pytest.approx(0.322, abs=0.004)
     assert counts.edges == pytest.approx(0.041, abs=0.002)
     assert counts.corners == pytest.approx(0.0018, abs=0.0004)
@@ -119,7 +119,7 @@ def test_repeats_are_compared_and_as_many_draws_of_their_control(tmp_path):
     bodies.parts[:, 100:200] = Part.BODY
     seen = []
     folders = [tmp_path / name for name in names]
-    looks = measure_looks(folders, bodies, progress=lambda *done: seen.append(done))
+    looks = measure_looks(folders, bodies, lambda *done: seen.append(done))
     assert seen[-1] == (8, 8)
     assert [row.name for row in looks.textures] == [n for n in names if "S-O" not in n]
     assert [(pair.first, pair.second) for pair in looks.pairs] == [

@@ -3,7 +3,6 @@
 import math
 from typing import Any
 
-from skyproof.camouflage.name import CamouflageName
 from skyproof.reproduction.cells import (
     Block,
     Heading,
@@ -16,7 +15,7 @@ from skyproof.reproduction.cells import (
     value,
 )
 from skyproof.reproduction.reproduction import Reproduction
-from skyproof.results.result import LENIENT_MATCH, Result
+from skyproof.results.result import LENIENT_MATCH
 from skyproof.words import detector_name
 
 _OVERLAP = "iou_50"
@@ -29,23 +28,21 @@ def criteria_part(run: Reproduction) -> Topic:
     Attacks that end on the way or see some detectors only are left out.
     """
     rows: list[dict[str, Any]] = []
-    for name in run.names:
-        camouflage = CamouflageName.read(name)
-        centre = run.row(name)
+    for camouflage in run.results.names:
+        centre = run.results.row(camouflage)
         if camouflage.random or camouflage.variant or centre is None:
             continue
-        overlap = run.results.row(camouflage, match=_OVERLAP)
-        lenient = run.results.row(camouflage, match=LENIENT_MATCH)
-        rows.append(
-            {
-                "attack": name,
-                **interval_cells("easr", centre.easr, 100.0),
-                **({} if overlap is None else _by_overlap(overlap)),
-                **({} if lenient is None else interval_cells(_LENIENT, lenient.easr, 100.0)),
-                "false_alarms_per_km2_original": centre.false_alarms_per_km2_original,
-                "false_alarms_per_km2_adversarial": centre.false_alarms_per_km2_adversarial,
-            }
-        )
+        row = {"attack": str(camouflage), **interval_cells("easr", centre.easr, 100.0)}
+        if overlap := run.results.row(camouflage, match=_OVERLAP):
+            row |= interval_cells("easr_iou_50", overlap.easr, 100.0)
+            row["ap_iou_50_original"] = 100 * overlap.ap_original
+            row["ap_iou_50_adversarial"] = 100 * overlap.ap_adversarial
+        if lenient := run.results.row(camouflage, match=LENIENT_MATCH):
+            row |= interval_cells(_LENIENT, lenient.easr, 100.0)
+        for when in ("original", "adversarial"):
+            name = f"false_alarms_per_km2_{when}"
+            row[name] = getattr(centre, name)
+        rows.append(row)
     text = (
         "Above, a vehicle counts as found where a detection’s centre lies within 1 m of its own; "
         "here also where the boxes’ intersection over union is at least 0.5, and leniently where "
@@ -80,11 +77,3 @@ def _on_empty_ground(run: Reproduction) -> list[Block]:
     if not found:
         return []
     return [f"On test ground without vehicles, false alarms per km²: {', '.join(found)}."]
-
-
-def _by_overlap(row: Result) -> dict[str, float]:
-    return {
-        **interval_cells("easr_iou_50", row.easr, 100.0),
-        "ap_iou_50_original": 100 * row.ap_original,
-        "ap_iou_50_adversarial": 100 * row.ap_adversarial,
-    }

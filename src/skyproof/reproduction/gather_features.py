@@ -97,10 +97,8 @@ def gather_features(
 
     Vehicles are looked at where they are, found or not; those out of sight are left out. Ground is
     looked at in the images without camouflage, in boxes as large as the vehicles', at random places
-    a metre or more from every vehicle; where an image has no room for one, it is left out.
-
-    A detector that gives no features is passed over. `camouflaged` has the images of the same
-    scenes by camouflage, `seed` places the ground.
+    a metre or more from every vehicle; where an image has no room for one, it is left out. A
+    detector that gives no features is passed over.
 
     Raises:
         ConfigurationError: the images are larger than a detector looks at whole.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -62,7 +62,7 @@ def write_looks(
     """Measures what camouflages look like on a fleet, and draws samples of them in `out`."""
     vehicles = Fleet.load(fleet)
     with finished_folder(out) as partial, progress_bar("looks") as update:
-        looks = measure_looks(camouflages, vehicles.batch(vehicles.ids), progress=update)
+        looks = measure_looks(camouflages, vehicles.batch(vehicles.ids), update)
         ground = BackgroundSet.open(backgrounds)
         every = Dataset.open(original).scenes
         scenes = [scene for scene in every if scene.placements][:_SAMPLES]
@@ -79,11 +79,11 @@ def write_looks(
 
 def _extremes(camouflages: Sequence[Path]) -> dict[Path, None]:
     """The first and the last texture, shape and combination: the freest, the most constrained."""
-    kinds: dict[str, list[Path]] = {}
+    kinds = defaultdict(list)
     for folder in camouflages:
         name = CamouflageName.read(folder.name)
         if is_pictured(name):
-            kinds.setdefault(name.kind, []).append(folder)
+            kinds[name.kind].append(folder)
     return dict.fromkeys(
         folder for folders in kinds.values() for folder in folders[:: len(folders) - 1 or 1]
     )
@@ -151,16 +151,13 @@ def _strip(images: Sequence[Float[Tensor, "3 H W"]]) -> UInt8[Tensor, "3 H sheet
 def measure_looks(
     folders: Sequence[Path],
     vehicles: VehicleBatch,
-    *,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], None],
 ) -> Looks:
     """Measures textures on the vehicles that wear them, each texel by its area there.
 
-    Args:
-        folders: camouflage folders; only textures are measured. Repeats of a texture are compared
-            with each other, and as many draws of its control.
-        vehicles: procedural vehicles on the template of `make_template`.
-        progress: called with (folders done, folders in all).
+    Repeats of a texture are compared with each other, and as many draws of its control. The
+    vehicles are on the template of `make_template`; `progress` is called with (folders done,
+    folders in all).
 
     Raises:
         StoredFileError: a folder is damaged.
@@ -180,8 +177,7 @@ def measure_looks(
             if folder.name in compared:
                 fine = Worn.of(texture.bytes(), areas[masked])
                 worn[folder.name] = (fine, fine.seen())
-        if progress:
-            progress(done, len(folders))
+        progress(done, len(folders))
     pairs = []
     for first, second in itertools.combinations(worn, 2):
         if compared[first] == compared[second]:
@@ -244,7 +240,7 @@ def _summed(values: Float[Tensor, "*C H W"]) -> Float[Tensor, "*C h w"]:
 
 
 def count_colours(
-    name: str, colours: UInt8[Tensor, "3 ..."], area: Float[Tensor, ...] | None = None
+    name: str, colours: UInt8[Tensor, "3 ..."], area: Float[Tensor, ...]
 ) -> TextureLooks:
     """Counts colours of 8 bits by where they lie in the RGB cube, each by its area.
 
@@ -252,8 +248,7 @@ def count_colours(
         ConfigurationError: there is no area.
     """
     bins = colours.flatten(1).long() // (256 // _BINS)
-    weights = torch.ones_like(bins[0]) if area is None else area.flatten()
-    weights = weights.double()
+    weights = area.flatten().double()
     whole = float(weights.sum())
     if whole <= 0:
         raise ConfigurationError(

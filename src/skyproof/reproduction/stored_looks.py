@@ -17,14 +17,10 @@ _Bins = Annotated[list[Fraction], Meta(min_length=1, max_length=256)]
 class TextureLooks(Struct, frozen=True):
     """Shares of a texture's area by where its colours lie in the RGB cube (section S7).
 
-    Colours drawn uniformly from [0, 1], and then rounded to 8 bits, have 32.2 % at the faces, 4.1 %
-    at the edges and 0.2 % at the corners.
-
-    Attributes:
-        faces: share with one channel or more at an end.
-        edges: share with two or more.
-        corners: share with all three: black, white, and the six full colours.
-        histogram: red, green and blue, each with the shares of its bins from dark to bright.
+    One channel or more is at an end at the faces, two or more at the edges, all three at the
+    corners. Colours drawn uniformly from [0, 1], and then rounded to 8 bits, have 32.2 % at the
+    faces, 4.1 % at the edges and 0.2 % at the corners. The histogram has red, green and blue, each
+    from dark to bright.
     """
 
     name: Name
@@ -37,12 +33,10 @@ class TextureLooks(Struct, frozen=True):
 class PairLooks(Struct, frozen=True):
     """How alike two repeats are on the vehicles that wear them.
 
-    Attributes:
-        correlation: correlation of the values, mean over the channels; None if one channel of
-            either is constant. Unrelated textures have 0.
-        distance: mean distance of the colours in CIELAB (CIE 1976). 2.3 can just be noticed (Mahy
-            and others 1994).
-        seen_correlation, seen_distance: the same, as coarsely as the renderer reads textures.
+    The correlation of the values is a mean over the channels; None if one channel of either is
+    constant. Unrelated textures have 0. The distance of the colours is a mean in CIELAB (CIE 1976),
+    of which 2.3 can just be noticed (Mahy and others 1994). Seen is what the renderer reads of
+    textures.
     """
 
     first: Name
@@ -63,12 +57,9 @@ class Strip(Struct, frozen=True):
 class Looks(Struct, frozen=True, omit_defaults=True):
     """All that is measured of what camouflages look like.
 
-    Attributes:
-        vehicles: number of vehicles that wore the textures.
-        textures: a row for each, repeats and draws apart.
-        pairs: a row for every two repeats that were compared.
-        samples: the same scenes without vehicles, with them, and with camouflages.
-        sensor: the same vehicles by the renderer's steps towards a photograph.
+    Repeats and draws have rows of their own. Samples are the same scenes without vehicles, with
+    them, and with camouflages; sensor the same vehicles by the renderer's steps towards a
+    photograph.
     """
 
     vehicles: WholeNumber

@@ -2,6 +2,7 @@
 
 import itertools
 import re
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -38,17 +39,19 @@ def _tests(run: Reproduction, rows: Sequence[Mapping[str, Any]]) -> str:
     for row in rows:
         if not row["attack"].startswith("R-"):
             learnt.setdefault(run.best.get(row["attack"], row["attack"]), row)
-    controlled = {n: row for n, row in learnt.items() if row["net_easr_low"] is not None}
-    below = [name for name, row in controlled.items() if row["net_easr_low"] <= 0]
-    single = [name for name, row in controlled.items() if row["random_draws"] == 1]
-    chosen = {
-        n: row for n, row in learnt.items() if row["net_strongest_control_easr_low"] is not None
-    }
-    unsure = [name for name, row in chosen.items() if row["net_strongest_control_easr_low"] <= 0]
-    drawn = {n: row for n, row in learnt.items() if row["control_p_holm"] is not None}
-    like_drawn = [name for name, row in drawn.items() if row["control_p_holm"] >= _SURE]
-    tested = {n: row for n, row in learnt.items() if row["no_camouflage_p_holm"] is not None}
-    like_none = [name for name, row in tested.items() if row["no_camouflage_p_holm"] >= _SURE]
+
+    def known(column: str) -> dict[str, float]:
+        return {n: row[column] for n, row in learnt.items() if row[column] is not None}
+
+    controlled = known("net_easr_low")
+    below = [name for name, low in controlled.items() if low <= 0]
+    single = [name for name in controlled if learnt[name]["random_draws"] == 1]
+    chosen = known("net_strongest_control_easr_low")
+    unsure = [name for name, low in chosen.items() if low <= 0]
+    drawn = known("control_p_holm")
+    like_drawn = [name for name, p in drawn.items() if p >= _SURE]
+    tested = known("no_camouflage_p_holm")
+    like_none = [name for name, p in tested.items() if p >= _SURE]
     return " ".join(
         part
         for part in (
@@ -113,39 +116,35 @@ def _signs(rows: Sequence[Mapping[str, Any]]) -> list[Block]:
 
 def _ladder_rows(run: Reproduction) -> list[dict[str, Any]]:
     """EASR of one repeat after some of its steps and after all."""
-    rungs: dict[str, dict[int, str]] = {}
+    rungs: dict[str, dict[int, str]] = defaultdict(dict)
     for key in run.results.counts.series:
         if found := _RUNG.fullmatch(key.camouflage):
-            rungs.setdefault(f"{found['base']}-{found['repeat']}", {})[int(found["step"])] = (
-                key.camouflage
-            )
+            name = f"{found['base']}-{found['repeat']}"
+            rungs[name][int(found["step"])] = key.camouflage
     rows = []
     for name, steps in rungs.items():
-        ladder = [(str(step), steps[step]) for step in sorted(steps)] + [("all", name)]
-        easr = {
-            f"after_{label}": run.results.single_easr(camouflage) for label, camouflage in ladder
-        }
+        ladder = [(f"after_{step}", steps[step]) for step in sorted(steps)] + [("after_all", name)]
+        easr = [_percent(run.results.single_easr(camouflage)) for _, camouflage in ladder]
         changes = [
             run.results.difference(later, earlier)
             for (_, earlier), (_, later) in itertools.pairwise(ladder)
         ]
-        known = [value for value in easr.values() if value is not None]
+        known = [value for value in easr if value is not None]
+        # A fall counts where its whole interval lies below zero.
+        falls = [change.high < 0 for change in changes if change is not None]
         rows.append(
             {
                 "attack": name,
-                **{label: None if value is None else 100 * value for label, value in easr.items()},
-                "never_falls": None if len(known) < len(easr) else _rises(known),
-                # A fall counts where its whole interval lies below zero.
-                "never_surely_falls": None
-                if any(change is None for change in changes)
-                else not any(change is not None and change.high < 0 for change in changes),
+                **{label: value for (label, _), value in zip(ladder, easr, strict=True)},
+                "never_falls": known == sorted(known) if len(known) == len(easr) else None,
+                "never_surely_falls": not any(falls) if len(falls) == len(changes) else None,
             }
         )
     return rows
 
 
-def _rises(values: Sequence[float]) -> bool:
-    return all(later >= earlier for earlier, later in itertools.pairwise(values))
+def _percent(share: float | None) -> float | None:
+    return None if share is None else 100 * share
 
 
 def _ladder(rows: Sequence[Mapping[str, Any]]) -> list[Block]:
@@ -229,12 +228,10 @@ def _gap_rows(run: Reproduction) -> list[dict[str, Any]]:
         if "_relaxed-" not in key:
             continue
         name = key.replace("_relaxed-", "-")
-        before = run.results.single_easr(key)
-        after = run.results.single_easr(name)
         row: dict[str, Any] = {
             "attack": name,
-            "easr_before": None if before is None else 100 * before,
-            "easr_after": None if after is None else 100 * after,
+            "easr_before": _percent(run.results.single_easr(key)),
+            "easr_after": _percent(run.results.single_easr(name)),
         }
         record = run.records.get(name)
         losses = record.discretisation if record else Discretisation()

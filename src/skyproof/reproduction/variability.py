@@ -3,7 +3,7 @@
 import itertools
 import math
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import partial
 from statistics import fmean
 from typing import Any
@@ -51,21 +51,15 @@ def variability_part(run: Reproduction) -> Topic:
     rows: list[dict[str, Any]] = []
     starts: list[dict[str, Any]] = []
     for name in learnt:
-        names = _starts(pairs[name])
-        agreed = _agreement(run, names)
-        rows.append(
-            {
-                "attack": str(name),
-                "starts": len(names),
-                **_likeness("", pairs[name]),
-                **_likeness("random_", pairs.get(name.control, [])),
-                **({} if agreed is None else interval_cells("agreement", agreed)),
-            }
-        )
+        names = dict.fromkeys(each for pair in pairs[name] for each in (pair.first, pair.second))
+        row = {"attack": str(name), "starts": len(names), **_likeness("", pairs[name])}
+        row |= _likeness("random_", pairs.get(name.control, []))
+        if agreed := _agreement(run, names):
+            row |= interval_cells("agreement", agreed)
+        rows.append(row)
         for each in names:
             easr = run.results.single_interval(each)
-            told = {} if easr is None else interval_cells("easr", easr, 100.0)
-            starts.append({"attack": each, **told})
+            starts.append({"attack": each, **(interval_cells("easr", easr, 100.0) if easr else {})})
     # The texture that was learnt from most starts; the first of equals.
     most = max(learnt, key=lambda name: len(pairs[name]))
     blocks = _blocks(rows, [row for row in starts if _pooled(row["attack"]) == most], most)
@@ -118,10 +112,6 @@ def _pairs(run: Reproduction) -> dict[CamouflageName, list[PairLooks]]:
     return found
 
 
-def _starts(pairs: Sequence[PairLooks]) -> list[str]:
-    return list(dict.fromkeys(name for pair in pairs for name in (pair.first, pair.second)))
-
-
 def _likeness(prefix: str, pairs: Sequence[PairLooks]) -> dict[str, Any]:
     """Means and extremes over pairs; None where undefined."""
     row: dict[str, Any] = {}
@@ -140,13 +130,11 @@ def _mean(row: Mapping[str, Any], key: str, digits: int) -> str:
     return f"{number(row[key], digits)} ({number(low, digits)} to {number(high, digits)})"
 
 
-def _agreement(run: Reproduction, names: Sequence[str]) -> Interval | None:
+def _agreement(run: Reproduction, names: Collection[str]) -> Interval | None:
     """Correlates which vehicles two starts hide, mean over pairs and detectors.
 
-    Vehicles on one tile that are one of the fleet count together, by the share of them hidden.
-
-    Returns:
-        With the 95 % interval over resampled tiles; None where a start was not scored.
+    Vehicles on one tile that are one of the fleet count together, by the share of them hidden. The
+    95 % interval is over resampled tiles. None where a start was not scored.
     """
     by_detector = defaultdict(list)
     for key, counts in run.results.counts.series.items():
