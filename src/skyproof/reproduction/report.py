@@ -3,7 +3,8 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from markupsafe import Markup, escape
+import jinja2
+from markupsafe import Markup
 
 from skyproof.console import say
 from skyproof.errors import RunFolderError
@@ -16,7 +17,6 @@ from skyproof.reproduction.cells import (
     Figure,
     Heading,
     Table,
-    TextTable,
     Topic,
     as_markdown,
     number,
@@ -37,6 +37,14 @@ from skyproof.reproduction.variability import variability_part
 from skyproof.reproduction.weather import weather_part
 from skyproof.results.results import Results
 from skyproof.words import detector_name
+
+_TEMPLATES = jinja2.Environment(
+    loader=jinja2.PackageLoader("skyproof.reproduction", "."),
+    autoescape=True,
+    undefined=jinja2.StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
+)
 
 
 def write_reproduction_report(out: Path) -> None:
@@ -70,7 +78,8 @@ def write_reproduction_report(out: Path) -> None:
                 for block in topic.blocks
                 if not isinstance(block, Figure) or block.files
             ]
-            sections.append(Section("Beside the paper", Markup("\n").join(map(_html, blocks))))
+            html = _TEMPLATES.get_template("blocks.html.j2").render(blocks=blocks)
+            sections.append(Section("Beside the paper", Markup(html.rstrip("\n"))))
             files = _files(run, [table for topic in topics for table in topic.tables], blocks)
         page = write_report(results, sections=sections)
         for name, content in files.items():
@@ -151,39 +160,3 @@ def _preamble(run: Reproduction) -> list[Block]:
             lines.append(f"all jobs together {seconds / 3600:.1f} h")
         parts.append("\n".join(f"- {line}" for line in lines))
     return parts
-
-
-def _html(block: Block) -> Markup:
-    if isinstance(block, Heading):
-        level = block.level + 1
-        return Markup("<h{0}>{1}</h{0}>").format(level, block.text)
-    if isinstance(block, Figure):
-        svg = block.files["svg"].decode()
-        return Markup(
-            '<figure class="wide"><div class="scroll">{}</div><figcaption>{}</figcaption></figure>'
-        ).format(Markup(svg[svg.index("<svg") :]), block.caption)
-    if isinstance(block, TextTable):
-        return _grid(block)
-    return Markup("<p>{}</p>").format(block)
-
-
-def _grid(grid: TextTable) -> Markup:
-    head = Markup("").join(map(Markup("<th>{}</th>").format, grid.header))
-    lines = [
-        Markup("<tr>{}</tr>").format(
-            Markup("").join(Markup("<td>{}</td>").format(_breakable(cell)) for cell in row)
-        )
-        for row in grid.rows
-    ]
-    return Markup(
-        '<div class="scroll"><table class="plain"><thead><tr>{}</tr></thead>\n'
-        "<tbody>{}</tbody></table></div>"
-    ).format(head, Markup("\n").join(lines))
-
-
-def _breakable(cell: str) -> Markup:
-    """An interval goes below its value."""
-    value, bracket, limits = cell.partition(" (")
-    if not bracket:
-        return escape(cell)
-    return Markup('{}<br><span class="soft">({}</span>').format(value, limits)
