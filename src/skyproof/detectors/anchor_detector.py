@@ -107,7 +107,7 @@ class AnchorHead(nn.Module):
             each = torch.cat([corners, raw[..., 4:]], dim=-1)
             found.append(each.flatten(1, 3))
         every = torch.cat(found, dim=1)
-        return every[..., :4], every[..., 4], every[..., 5:]
+        return every[..., :4], every[..., 4].contiguous(), every[..., 5:]
 
     def anchors_of(self, level: int) -> Float[Tensor, "A 2"]:
         """A level's anchors in units of its cells."""
