@@ -31,8 +31,7 @@ from skyproof.errors import ConfigurationError
 from skyproof.layout import Layout
 from skyproof.reproduction.plan import reproduction_plan
 from skyproof.reproduction.preset import Preset
-from skyproof.results.findings import findings, verdict
-from skyproof.results.precheck import read_precheck
+from skyproof.results.precheck import findings, read_precheck, verdict
 from skyproof.results.stored import read_environment
 from skyproof.storage import write_tensors
 from skyproof.words import detector_name, percent

@@ -18,8 +18,15 @@ from skyproof.measure.precheck import PrecheckScenes, precheck, precheck_changes
 from skyproof.measure.views import SceneChange, SceneRenderer, views
 from skyproof.render.dataset import render_dataset
 from skyproof.render.renderer import TorchRenderer
-from skyproof.results.findings import findings, verdict, worst
-from skyproof.results.precheck import PRECHECK_FILE, read_precheck, read_prechecks, write_precheck
+from skyproof.results.precheck import (
+    PRECHECK_FILE,
+    findings,
+    read_precheck,
+    read_prechecks,
+    verdict,
+    worst,
+    write_precheck,
+)
 from skyproof.results.rows_file import flat_row
 from skyproof.vehicles.vehicle import Part
 from tests.measure.world import SIZE_PX, Toy, judging

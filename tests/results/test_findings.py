@@ -5,8 +5,16 @@ from dataclasses import replace
 import pytest
 
 from skyproof.results.baseline import Baseline, BestF1
-from skyproof.results.findings import findings, misfit_thresholds, rate_outcome, verdict, worst
-from skyproof.results.precheck import MeasuredOn, PrecheckRecord, Rate
+from skyproof.results.precheck import (
+    MeasuredOn,
+    PrecheckRecord,
+    Rate,
+    findings,
+    misfit_thresholds,
+    rate_outcome,
+    verdict,
+    worst,
+)
 from skyproof.results.statistics.intervals import Interval
 
 SURE = Interval(0.99, 0.98, 1.0)

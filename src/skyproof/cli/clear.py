@@ -82,8 +82,7 @@ class Clear:
 
 def failed_precheck(folder: Path) -> bool:
     """Whether a detector failed its precheck; one without a precheck did not."""
-    from skyproof.results.findings import findings, verdict
-    from skyproof.results.precheck import PRECHECK_FILE, read_precheck
+    from skyproof.results.precheck import PRECHECK_FILE, findings, read_precheck, verdict
 
     precheck = folder / PRECHECK_FILE
     return precheck.is_file() and verdict(findings(read_precheck(folder))) == "failed"

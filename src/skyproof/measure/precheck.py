@@ -91,7 +91,7 @@ def precheck(
     The scenes are rendered as they are, then once under each change: 27 plain paints on body panels
     and 27 on the whole vehicle, eight two-tone paints, four sharpnesses, six random controls, four
     suns. Rates are by centres within 1 m at the frozen threshold. Nothing is written. `progress` is
-    called with (images done, images in all). `skyproof.results.findings` judges the records.
+    called with (images done, images in all). `skyproof.results.precheck` judges the records.
     """
     scenes, seed = data.scenes, data.seed
     for each in data.frames:

@@ -4,15 +4,15 @@ from collections.abc import Sequence
 from textwrap import wrap
 
 from skyproof.results.baseline import Baseline
-from skyproof.results.findings import (
+from skyproof.results.precheck import (
     LARGEST_EASR,
     Finding,
+    PrecheckRecord,
     findings,
     misfit_thresholds,
     rate_words,
     verdict,
 )
-from skyproof.results.precheck import PrecheckRecord
 from skyproof.results.statistics.intervals import Interval
 from skyproof.words import detector_name, interval, percent
 

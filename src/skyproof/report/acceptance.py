@@ -18,8 +18,8 @@ from skyproof.errors import ConfigurationError
 from skyproof.files import file_digest, write_json
 from skyproof.layout import Layout
 from skyproof.report.figures import chances_figure
-from skyproof.results.findings import findings, worst
 from skyproof.results.pairs.counts import OutcomeCounts
+from skyproof.results.precheck import findings, worst
 from skyproof.results.result import MAIN_MATCH
 from skyproof.results.results import RENDERER, Results
 from skyproof.results.statistics.acceptance import Decision, Evidence, Requirement, decide

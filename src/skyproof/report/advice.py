@@ -9,7 +9,7 @@ from skyproof import words
 from skyproof.camouflage.name import CamouflageName
 from skyproof.layout import Layout
 from skyproof.results.conditions import Bin, Panel
-from skyproof.results.findings import findings
+from skyproof.results.precheck import findings
 from skyproof.results.result import MEAN, Result
 from skyproof.results.results import Results
 

@@ -12,7 +12,7 @@ from skyproof.documents import read_document
 from skyproof.layout import CLEARING_RECORD, Layout
 from skyproof.ranges import Fraction
 from skyproof.results.baseline import Baseline
-from skyproof.results.findings import findings, verdict
+from skyproof.results.precheck import findings, verdict
 from skyproof.results.results import Results
 from skyproof.words import detector_name, interval, listed, percent
 

@@ -3,14 +3,16 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from skyproof.results.findings import (
+from skyproof.results.precheck import (
     Finding,
     FindingOutcome,
+    Kind,
+    MeasuredOn,
+    Rate,
     findings,
     misfit_thresholds,
     worst,
 )
-from skyproof.results.precheck import Kind, MeasuredOn, Rate
 from skyproof.results.results import Results
 from skyproof.scenes.scene import scenes_digest
 from skyproof.words import detector_name

@@ -31,7 +31,7 @@ from skyproof.report.opening import opening, strongest_of
 from skyproof.report.precheck import precheck_part
 from skyproof.report.queries import query_part
 from skyproof.results.conditions import Panel, condition_panels
-from skyproof.results.findings import rate_outcome, rate_words
+from skyproof.results.precheck import rate_outcome, rate_words
 from skyproof.results.result import Result
 from skyproof.results.results import Results
 from skyproof.results.statistics.acceptance import Requirement

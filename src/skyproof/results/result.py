@@ -1,13 +1,27 @@
-"""One row of the table of results."""
+"""The table of results from counted outcomes, and one row of it."""
 
 import math
-from dataclasses import dataclass
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+from jaxtyping import Float, Int
+
 from skyproof.camouflage.name import CamouflageName
-from skyproof.results.pairs.outcomes import Match
+from skyproof.results.pairs.counts import OutcomeCounts, Series, repeat_of
+from skyproof.results.pairs.outcomes import MATCHES, ORIGINAL, Match
 from skyproof.results.rows_file import interval_columns, nulls_for_undefined
-from skyproof.results.statistics.intervals import UNDEFINED, Interval
+from skyproof.results.score_folder import SetScore
+from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
+from skyproof.results.statistics.hypotheses import control_p, holm, unchanged_p
+from skyproof.results.statistics.intervals import UNDEFINED, Interval, Sample
+from skyproof.results.statistics.rates import (
+    attack_success_rate,
+    enhancement_rate,
+    overall_attack_success_rate,
+)
 
 MEAN = "mean"
 MAIN_MATCH: Match = "centre_1m"
@@ -135,3 +149,197 @@ def _columns(contrast: Contrast, easr: str, net: str, p: str) -> dict[str, Any]:
         p: contrast.p,
         f"{p}_holm": contrast.p_holm,
     }
+
+
+def summarise(
+    counts: OutcomeCounts, sets: Sequence[SetScore], *, generator: np.random.Generator
+) -> list[Result]:
+    """Makes the results of a run from its counted outcomes.
+
+    Repeats of one camouflage ("T-U-0", "T-U-1": seeds of an attack, draws of a control) share one
+    result: the mean over repeats, and over detectors in result "mean" (unweighted; undefined where
+    one detector found no vehicle before). Net EASR is EASR minus that of the random control. All
+    rates are on the same tiles and vehicles. The intervals cover which of these were drawn and,
+    where there are several, which seeds and draws. `easr_repeat_sd` (sample standard deviation),
+    `easr_repeat_min` and `easr_repeat_max` give the spread of the repeats.
+
+    Two things are tested: that the optimised camouflage hides more than every draw of a control
+    (`Contrast`), and that it changes anything (`no_camouflage_p`). Both are the largest p of the
+    repeats, and 1 where these point both ways, so a claim holds for each of them. Holm's correction
+    runs over the camouflages of one detector and match rule. A claim on all detectors takes the
+    largest of their p, which needs no further correction.
+
+    A score of a set that is missing in `sets` ("original" included) is undefined.
+    """
+    rows: list[Result] = []
+    scores = {Series(s.camouflage, s.renderer, s.detector, s.match): s for s in sets}
+    for match in MATCHES:
+        for renderer in _unique(key.renderer for key in counts.series if key.match == match):
+            here = counts.of(renderer, match)
+            sample = Sample.draw(here.cells, generator=generator)
+            rows.extend(_Table(here, scores, sample).rows())
+    return _corrected(rows)
+
+
+def _corrected(rows: list[Result]) -> list[Result]:
+    """Adds Holm's correction, which needs all p-values of a family."""
+    families: dict[tuple[str, str], list[int]] = defaultdict(list)
+    for index, row in enumerate(rows):
+        families[row.match, row.detector].append(index)
+    for family in families.values():
+        for field in ("random", "strongest", "drawn_shape"):
+            found = {index: getattr(rows[index], field) for index in family}
+            tested = {index: each for index, each in found.items() if each and each.p is not None}
+            corrected = holm([each.p for each in tested.values()])
+            for (index, each), p_holm in zip(tested.items(), corrected, strict=True):
+                change: dict[str, Any] = {field: replace(each, p_holm=p_holm)}
+                rows[index] = replace(rows[index], **change)
+        known = {i: p for i in family if (p := rows[i].no_camouflage_p) is not None}
+        for index, p_holm in zip(known, holm(list(known.values())), strict=True):
+            rows[index] = replace(rows[index], no_camouflage_p_holm=p_holm)
+    return rows
+
+
+class _Table:
+    """Results of one renderer and one match rule."""
+
+    def __init__(
+        self, counts: OutcomeCounts, scores: Mapping[Series, SetScore], sample: Sample
+    ) -> None:
+        self.cells = counts.cells
+        self.sample = sample
+        self.scores = scores
+        self.key = next(iter(counts.series))
+        self.series = {(key.camouflage, key.detector): each for key, each in counts.series.items()}
+        self.detectors = _unique(detector for _, detector in self.series)
+        self.repeats: dict[CamouflageName, list[str]] = defaultdict(list)
+        for camouflage in _unique(name for name, _ in self.series):
+            self.repeats[CamouflageName.read(camouflage).pooled].append(camouflage)
+        self._groups: dict[tuple[tuple[str, ...], tuple[str, ...]], Group] = {}
+
+    def rows(self) -> list[Result]:
+        rows = []
+        for name, members in self.repeats.items():
+            present = [
+                d for d in self.detectors if all((member, d) in self.series for member in members)
+            ]
+            rows += [self._row(name, detector, [detector]) for detector in present]
+            if len(present) > 1:
+                rows.append(self._row(name, MEAN, present))
+        return rows
+
+    def _row(self, name: CamouflageName, label: str, detectors: list[str]) -> Result:
+        members = self.repeats[name]
+        in_sight = self.series[members[0], detectors[0]][:, 0]
+        group = self.group(members, detectors)
+        totals = group.counts.sum(axis=1)
+        of_repeats = overall_attack_success_rate(totals).reshape(len(members), -1).mean(axis=1)
+        several = len(of_repeats) > 1
+        beside = _Contrasts(self, members, detectors, group)
+        ap, alarms = "average_precision", "false_alarms_per_km2"
+        ap_original = self._mean([ORIGINAL], detectors, ap)
+        ap_adversarial = self._mean(members, detectors, ap)
+        shape = name.random_shape
+        untested = label == MEAN or name.random
+        return Result(
+            camouflage=name,
+            renderer=self.key.renderer,
+            detector=label,
+            match=self.key.match,
+            vehicles=int(in_sight.sum()),
+            clusters=len({tile for (tile, _), n in zip(self.cells, in_sight, strict=True) if n}),
+            repeats=len(members),
+            easr=mean_interval(group),
+            asr=mean_interval(group, rate=attack_success_rate, limits=(0.0, 1.0)),
+            er=mean_interval(group, rate=enhancement_rate, limits=(0.0, math.inf)),
+            easr_repeat_sd=float(of_repeats.std(ddof=1)) if several else math.nan,
+            easr_repeat_min=float(of_repeats.min()) if several else math.nan,
+            easr_repeat_max=float(of_repeats.max()) if several else math.nan,
+            ap_original=ap_original,
+            ap_adversarial=ap_adversarial,
+            apd=ap_original - ap_adversarial,
+            false_alarms_per_km2_original=self._mean([ORIGINAL], detectors, alarms),
+            false_alarms_per_km2_adversarial=self._mean(members, detectors, alarms),
+            random=None if name.random else beside.contrast(name.control),
+            strongest=None if name.random else beside.strongest(name.chosen_controls),
+            drawn_shape=None if shape is None else beside.contrast(shape),
+            no_camouflage_p=None if untested else unchanged_p(totals),
+        )
+
+    def drawn(self, control: CamouflageName, detectors: list[str]) -> list[str]:
+        """Lists the repeats of a control that were scored with all of these detectors."""
+        repeats = self.repeats.get(control, [])
+        return [draw for draw in repeats if all((draw, d) in self.series for d in detectors)]
+
+    def group(self, camouflages: list[str], detectors: list[str]) -> Group:
+        """Puts series together, once for all results in which they stand."""
+        wanted = (tuple(camouflages), tuple(detectors))
+        if wanted not in self._groups:
+            keys = [(camouflage, d) for camouflage in camouflages for d in detectors]
+            counts = np.stack([self.series[key][:, 1:] for key in keys])
+            repeats = [[repeat_of(camouflage)] for camouflage, _ in keys]
+            self._groups[wanted] = Group(counts, self.sample, repeats)
+        return self._groups[wanted]
+
+    def _mean(self, camouflages: list[str], detectors: list[str], field: str) -> float:
+        """Gives the mean of a set score; nan where any of the sets was not scored."""
+        known = [
+            self.scores.get(self.key._replace(camouflage=camouflage, detector=detector))
+            for camouflage in camouflages
+            for detector in detectors
+        ]
+        values = [math.nan if score is None else getattr(score, field) for score in known]
+        return float(np.mean(values))
+
+
+@dataclass(frozen=True)
+class _Contrasts:
+    """One camouflage, to be set beside its controls."""
+
+    table: _Table
+    members: list[str]
+    detectors: list[str]
+    group: Group
+
+    def contrast(self, control: CamouflageName) -> Contrast | None:
+        """Sets it beside all draws of one control; None where none was scored."""
+        drawn = self.table.drawn(control, self.detectors)
+        if not drawn:
+            return None
+        group = self.table.group(drawn, self.detectors)
+        net = difference_interval([self.group], [group])
+        return Contrast(control, group.rate, len(drawn), net, self._p(drawn))
+
+    def strongest(self, controls: Sequence[CamouflageName]) -> Contrast | None:
+        """Sets it beside the strongest of some controls, with the limit and p that hold for all.
+
+        An undefined rate stays undefined.
+        """
+        found = [each for each in map(self.contrast, controls) if each is not None]
+        if not found:
+            return None
+        best = max(found, key=lambda each: each.easr)
+        low = float(np.min([each.net.low for each in found]))
+        every = [draw for each in found for draw in self.table.drawn(each.control, self.detectors)]
+        return replace(best, net=replace(best.net, low=low), p=self._p(every))
+
+    def _p(self, drawn: list[str]) -> float | None:
+        """Tests optimised against drawn; None where a detector found no vehicle before."""
+        found = self.group.counts[: len(self.detectors), :, :2].sum(axis=(1, 2))
+        if not all(found):
+            return None
+        optimised, control = (
+            np.stack([self._hidden(camouflage, found) for camouflage in camouflages])
+            for camouflages in (self.members, drawn)
+        )
+        return control_p(optimised, control)
+
+    def _hidden(self, camouflage: str, found: Int[np.ndarray, " D"]) -> Float[np.ndarray, " C"]:
+        """Gives lost minus gained per tile, over what each detector found before."""
+        counts = self.table.group([camouflage], self.detectors).counts
+        tiles = self.table.sample.by_tile(counts)
+        return np.sum((tiles[..., 1] - tiles[..., 2]) / found[:, None], axis=0)
+
+
+def _unique(values: Iterable[str]) -> list[str]:
+    return list(dict.fromkeys(values))

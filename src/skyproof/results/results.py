@@ -18,7 +18,7 @@ from skyproof.results.baseline import Baseline
 from skyproof.results.pairs.counts import OutcomeCounts, Series, repeat_of
 from skyproof.results.pairs.outcomes import Outcome, read_outcomes
 from skyproof.results.precheck import PrecheckRecord, read_prechecks
-from skyproof.results.result import LENIENT_MATCH, MAIN_MATCH, MEAN, Result
+from skyproof.results.result import LENIENT_MATCH, MAIN_MATCH, MEAN, Result, summarise
 from skyproof.results.rows_file import flat_row
 from skyproof.results.score_folder import Pair, ScoreFolder, merge_scores
 from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
@@ -35,7 +35,6 @@ from skyproof.results.stored import (
     read_sources,
     read_timings,
 )
-from skyproof.results.summary import summarise
 from skyproof.scenes.scene import Scene, read_scenes
 from skyproof.seeds import numpy_generator
 
