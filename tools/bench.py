@@ -25,9 +25,9 @@ import tyro
 from skyproof.attacks.objective import frozen, objective_and_gradient
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.make import make_camouflage
-from skyproof.cycles.opening import open_workers
 from skyproof.cycles.renderer import CyclesRenderer
 from skyproof.cycles.settings import Rendering
+from skyproof.cycles.workers import open_workers
 from skyproof.detectors.loaded import build_detector
 from skyproof.device import choose_device
 from skyproof.ground.procedural import write_procedural_backgrounds
@@ -229,7 +229,9 @@ def bench_cycles(bench: Bench, folder: Path) -> dict[str, Any]:
             "workers": workers.count,
             "crops": vehicles,
             "crops_per_hour": round(3600 * vehicles / seconds),
-            "worker_memory_mb": max(map(_peak_memory_mb, workers.process_ids())),
+            "worker_memory_mb": max(
+                _peak_memory_mb(each.process.pid) for each in workers.processes if each.process
+            ),
         }
 
 

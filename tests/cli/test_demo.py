@@ -135,7 +135,7 @@ def blender(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         drawn.append(out.name)
         yield Stand(backgrounds)
 
-    monkeypatch.setattr("skyproof.cycles.opening.open_renderer", opened)
+    monkeypatch.setattr("skyproof.cycles.renderer.open_renderer", opened)
     monkeypatch.setattr("skyproof.assessment.assess.find_blender", lambda path: path)
     return drawn
 

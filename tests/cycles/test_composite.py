@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from skyproof.cycles import composite
+from skyproof.cycles import renderer
 from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
 from skyproof.render.lighting import scene_lights
 from skyproof.scenes.light import Light
@@ -33,7 +33,7 @@ def shown_by(own):
 
 
 def composite_crops(photograph, crops, seed, margin_px, sensor, own=CLEAR_DAY):
-    return composite.composite_crops(photograph, crops, seed, margin_px, sensor, shown_by(own))
+    return renderer.composite_crops(photograph, crops, seed, margin_px, sensor, shown_by(own))
 
 
 def light(image):

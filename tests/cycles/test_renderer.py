@@ -39,7 +39,7 @@ class Shadows(Workers):
     def __init__(self):
         self.blender, self.asked = Blender(Path("nowhere"), True, "4.5.0"), []
 
-    def run(self, jobs, *, on_done=None):
+    def run(self, jobs):
         self.asked += jobs
         results = []
         for job in jobs:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from skyproof.cycles.sky import daylight
+from skyproof.cycles.jobs import daylight
 from skyproof.render.lighting import sky_light
 from skyproof.render.materials import CAMOUFLAGE, material_labels, material_table
 from skyproof.scenes.light import Light

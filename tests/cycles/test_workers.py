@@ -80,11 +80,10 @@ def ended(processes):
 
 
 def test_results_come_in_the_order_of_the_jobs(tmp_path):
-    fake, done = Fake(tmp_path, ["noise"]), []
+    fake = Fake(tmp_path, ["noise"])
     with Workers(fake.blender, 2) as workers:
-        results = workers.run([job(seed) for seed in range(9)], on_done=lambda: done.append(1))
+        results = workers.run([job(seed) for seed in range(9)])
         assert seeds(results) == list(range(9))
-        assert len(done) == 9
         assert sorted(fake.requests) == list(range(9))
         assert len(fake.processes) <= 2
         # The same again is only read.
@@ -185,11 +184,14 @@ def test_a_stop_ends_processes_that_never_answer(tmp_path, wrapped):
         until = time.monotonic() + 60
         while len(fake.requests) < 3 and time.monotonic() < until:
             time.sleep(0.01)
-        raise KeyboardInterrupt
+        signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
 
     results, threads = tmp_path / "results", threading.active_count()
+    stopper = threading.Thread(target=stop)
+    stopper.start()
     with pytest.raises(KeyboardInterrupt), Workers(fake.blender, 2, results) as workers:
-        workers.run([job(seed) for seed in range(6)], on_done=stop)
+        workers.run([job(seed) for seed in range(6)])
+    stopper.join()
     assert ended(fake.processes)
     assert threading.active_count() == threads
     files = [path for path in results.iterdir() if not path.name.startswith(".")]
@@ -264,7 +266,7 @@ def test_a_real_process_killed_in_the_middle_of_its_job(blender, workers, tmp_pa
 
     def kill():
         # The other jobs wait in line, so that this one is at work.
-        (process,) = [each._process.pid for each in mortal._all]
+        (process,) = [each.process.pid for each in mortal.processes]
         time.sleep(0.15)
         os.killpg(process, signal.SIGKILL)
         killed.append(process)
@@ -275,7 +277,7 @@ def test_a_real_process_killed_in_the_middle_of_its_job(blender, workers, tmp_pa
         timer.start()
         (result,) = mortal.run([hard])
         timer.join()
-        (process,) = [each._process.pid for each in mortal._all]
+        (process,) = [each.process.pid for each in mortal.processes]
     assert killed
     assert killed != [process]
     np.testing.assert_array_equal(result, workers.run([hard])[0])

@@ -8,7 +8,7 @@ import torch
 from tests.render.bodies import scene
 
 from skyproof.attacks.world import World
-from skyproof.cycles.opening import open_renderer
+from skyproof.cycles.renderer import open_renderer
 from skyproof.cycles.settings import Rendering
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.ground.photograph import GroundSensor

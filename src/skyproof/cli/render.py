@@ -62,7 +62,7 @@ class Render(Rendering):
     def run(self) -> None:
         """Renders the dataset."""
         from skyproof.camouflage.folder import load_camouflage
-        from skyproof.cycles.opening import open_renderer
+        from skyproof.cycles.renderer import open_renderer
         from skyproof.device import choose_device
         from skyproof.render.dataset import render_dataset
         from skyproof.scenes.backgrounds import BackgroundSet

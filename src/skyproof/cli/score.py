@@ -144,7 +144,7 @@ class Score(Rendering):
         if backgrounds is None or self.fleet is None or self.original is None:
             yield None
             return
-        from skyproof.cycles.opening import open_renderer
+        from skyproof.cycles.renderer import open_renderer
         from skyproof.measure.views import SceneRenderer
         from skyproof.vehicles.fleet import Fleet
 

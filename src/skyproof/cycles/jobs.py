@@ -1,4 +1,4 @@
-"""The job of a Blender process: one crop around one vehicle, as plain numbers and arrays."""
+"""The job of a Blender process: a crop around a vehicle, in daylight, as numbers and arrays."""
 
 from __future__ import annotations
 
@@ -18,18 +18,66 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from skyproof.cycles.settings import CyclesSettings
-from skyproof.cycles.sky import SUN_DIAMETER_RAD, daylight
 from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
-from skyproof.render.lighting import sky_light
+from skyproof.render.lighting import (
+    CLEAR,
+    OVERCAST,
+    SkyType,
+    relative_luminance,
+    sky_light,
+)
 from skyproof.render.materials import material_labels, material_table, reflectance
 from skyproof.render.placed import Placed
 from skyproof.scenes.light import Light
-from skyproof.scenes.scene import Scene
+from skyproof.scenes.scene import Scene, Sun
 from skyproof.vehicles.vehicle import VehicleBatch
 
 _WORKER = Path(__file__).with_name("worker.py")
 # Reach of the ground that sends noticeable light to a crop's vehicles.
 _GROUND_BORDER_M = 2.0
+_SUN_DIAMETER_RAD = math.radians(0.53)
+_SKY_ROWS, _SKY_COLUMNS = 32, 64
+
+
+@dataclass(frozen=True)
+class Daylight:
+    """Light on a scene; a white matt surface on open ground sends 1.
+
+    Attributes:
+        sun_irradiance: linear red, green, blue across the sun's rays.
+        sky: `[32, 64, 3]` linear radiance by elevation (90 degrees in the first row) and azimuth
+            (the middle column looks along +x, columns go clockwise from above), for Blender's
+            environment texture; zero below the horizon.
+    """
+
+    sun_irradiance: tuple[float, float, float]
+    sky: Float[np.ndarray, "32 64 3"]
+
+
+def daylight(sun: Sun, sky_light: tuple[float, float, float], clouds: float) -> Daylight:
+    """Returns sun and sky, whose irradiances on level ground add up to pi in every channel.
+
+    `sky_light` is the sky's share of the light on open ground, `clouds` the share of clouds in it.
+    """
+    dome = (1 - clouds) * _dome(CLEAR, sun) + clouds * _dome(OVERCAST, sun)
+    share = np.array(sky_light)
+    direct = np.pi * np.maximum(1 - share, 0.0) / math.sin(sun.elevation_rad)
+    red, green, blue = direct.tolist()
+    return Daylight((red, green, blue), (share * dome[..., None]).astype(np.float32))
+
+
+def _dome(kind: SkyType, sun: Sun) -> Float[np.ndarray, "32 64"]:
+    """Returns the sky's luminance, scaled so that a white matt surface under it alone sends 1."""
+    elevation = np.pi / 2 - (np.arange(_SKY_ROWS) + 0.5) * np.pi / _SKY_ROWS
+    azimuth = np.pi - (np.arange(_SKY_COLUMNS) + 0.5) * 2 * np.pi / _SKY_COLUMNS
+    up = np.broadcast_to(np.sin(elevation)[:, None], (_SKY_ROWS, _SKY_COLUMNS))
+    outward = np.cos(elevation)[:, None]
+    x, y, z = sun.direction
+    towards_sun = outward * (np.cos(azimuth) * x + np.sin(azimuth) * y) + up * z
+    luminance = relative_luminance(kind, torch.tensor(up), torch.tensor(towards_sun)).numpy()
+    dome = luminance * (up > 0)
+    solid_angle = outward * (np.pi / _SKY_ROWS) * (2 * np.pi / _SKY_COLUMNS)
+    return dome / ((dome * up * solid_angle).sum() / np.pi)
 
 
 @dataclass(frozen=True)
@@ -118,7 +166,7 @@ def crop_jobs(
                 "sun_irradiance": [
                     (1 - scene.placements[number].shade) * each for each in light.sun_irradiance
                 ],
-                "sun_diameter_rad": SUN_DIAMETER_RAD,
+                "sun_diameter_rad": _SUN_DIAMETER_RAD,
                 "ground_origin_px": origin,
                 "samples": settings.samples,
                 # The seed is the same with and without camouflage, so that pairs share their noise.

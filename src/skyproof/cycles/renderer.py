@@ -1,34 +1,43 @@
 """The path tracer as a renderer: the same scenes and labels in another light (section S3.2.2)."""
 
 import math
-from collections.abc import Sequence
+import shutil
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skyproof.cycles.composite import composite_crops
 from skyproof.cycles.jobs import crop_jobs, crop_windows
-from skyproof.cycles.settings import CyclesSettings
-from skyproof.cycles.workers import Workers
-from skyproof.geometry.colour import srgb_to_linear
+from skyproof.cycles.settings import CyclesSettings, Rendering
+from skyproof.cycles.workers import Workers, open_workers
+from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
 from skyproof.render.cover import covers, hidden
-from skyproof.render.frames import Frames
-from skyproof.render.lighting import scene_lights
+from skyproof.render.frames import Frames, Renderer
+from skyproof.render.lighting import SceneLights, scene_lights
 from skyproof.render.placed import label, nothing_placed, place, visible_samples
 from skyproof.render.renderer import (
     Backgrounds,
+    TorchRenderer,
     photographed_lights,
     photographs,
     sensor_record,
     sensors,
 )
+from skyproof.render.sensor import blurred, sensor_noise
 from skyproof.render.settings import RenderSettings
 from skyproof.render.weather import finish_images, wet_grounds
+from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.scene import Scene
+from skyproof.scenes.sensor import Sensor
 from skyproof.vehicles.vehicle import VehicleBatch
+
+_LEAST_WEIGHT = 1e-3
+_Crop = tuple[tuple[int, int, int, int], Float[Tensor, "7 _h _w"]]
 
 
 class CyclesRenderer:
@@ -79,9 +88,8 @@ class CyclesRenderer:
         Raises:
             RunFolderError: Blender failed twice at a crop, or the disk is full.
         """
-        ground = wet_grounds(
-            photographs(self.backgrounds, scenes, vehicles.vertices.device), scenes
-        )
+        photographed = photographs(self.backgrounds, scenes, vehicles.vertices.device)
+        ground = wet_grounds(photographed, scenes)
         if not len(vehicles):
             return nothing_placed(finish_images(ground, scenes), masks=masks)
         placed = place(scenes, vehicles)
@@ -90,35 +98,16 @@ class CyclesRenderer:
         lights = scene_lights(shown, scenes, ground)
         margin_px = math.ceil(self.settings.margin_m / placed.gsd_m)
         windows = crop_windows(placed, margin_px, [sensor.blur_radius_px for sensor in shown_by])
-        jobs = crop_jobs(
-            scenes,
-            vehicles,
-            placed,
-            lights.received(srgb_to_linear(ground)),
-            windows,
-            self.settings,
-            shown,
-        )
-        drawn = [
-            torch.from_numpy(crop).permute(2, 0, 1).to(ground) for crop in self.workers.run(jobs)
+        light = lights.received(srgb_to_linear(ground))
+        jobs = crop_jobs(scenes, vehicles, placed, light, windows, self.settings, shown)
+        crops: list[list[_Crop]] = [[] for _ in scenes]
+        for job, drawn in zip(jobs, self.workers.run(jobs), strict=True):
+            layers = torch.from_numpy(drawn).permute(2, 0, 1).to(ground)
+            crops[job.scene].append((job.window_px, layers))
+        images = [
+            composite_crops(ground[i], crops[i], scene.seed, margin_px, shown_by[i], lights.of(i))
+            for i, scene in enumerate(scenes)
         ]
-        images: list[Float[Tensor, "3 H W"]] = []
-        for index, scene in enumerate(scenes):
-            crops = [
-                (job.window_px, layers)
-                for job, layers in zip(jobs, drawn, strict=True)
-                if job.scene == index
-            ]
-            images.append(
-                composite_crops(
-                    ground[index],
-                    crops,
-                    scene.seed,
-                    margin_px,
-                    shown_by[index],
-                    lights.of(index),
-                )
-            )
         image = torch.stack(images)
         cover = covers(self.backgrounds.cover_of, scenes, placed, vehicles.template.faces)
         if cover is not None:
@@ -127,3 +116,93 @@ class CyclesRenderer:
         factor = self.shared.supersampling
         visibility, window = visible_samples(placed, vehicles.template.faces, factor)
         return label(finished, placed, visibility, window, factor, cover=cover, masks=masks)
+
+
+@contextmanager
+def open_renderer(
+    rendering: Rendering, backgrounds: BackgroundSet, out: Path
+) -> Iterator[Renderer]:
+    """Yields the chosen renderer; crops stay beside `out` until the block ends, for resuming.
+
+    Raises:
+        ConfigurationError: there is no usable Blender, or the settings cannot work.
+    """
+    if rendering.renderer == "torch":
+        yield TorchRenderer(backgrounds)
+        return
+    crops = out.with_name(f".{out.name}.crops")
+    with open_workers(rendering, crops) as workers:
+        yield CyclesRenderer(backgrounds, workers, rendering.cycles)
+    shutil.rmtree(crops, ignore_errors=True)
+
+
+@torch.no_grad()
+def composite_crops(
+    photograph: Float[Tensor, "3 H W"],
+    crops: Sequence[_Crop],
+    seed: int,
+    margin_px: int,
+    sensor: Sensor,
+    lights: SceneLights,
+) -> Float[Tensor, "3 H W"]:
+    """Lays crops over one image: I = I_bg * (1 - G(taken)) + G(colour), in linear light.
+
+    `taken` is the share of the ground's light that a crop takes per channel: all behind vehicles,
+    and 1 - ratio beside them, where ratio is the light there over the light without vehicles.
+    Pixels out of reach keep the photograph's value exactly. Vehicles get the sensor's noise.
+
+    Args:
+        crops: left, top, width, height in image pixels, and linear colour times coverage (3),
+            coverage (1), ratio (3). Each crop shows everything in its window, so either is right in
+            an overlap.
+        margin_px: width over which the rest of the ratio fades out towards a crop's edge; not at
+            the image's border, where the shadow continues.
+    """
+    if not crops:
+        return photograph
+    radius, size = sensor.blur_radius_px, photograph.shape[-1]
+    wide = size + 2 * radius
+    total = photograph.new_zeros(7, wide, wide)
+    weight = photograph.new_zeros(wide, wide)
+    nearest = photograph.new_zeros(wide, wide)
+    for (left, top, width, height), layers in crops:
+        rows = slice(top + radius, top + radius + height)
+        columns = slice(left + radius, left + radius + width)
+        ends = [
+            (first <= -radius, first + length >= size + radius)
+            for first, length in ((top, height), (left, width))
+        ]
+        vertical = _inwards(height, margin_px, ends[0], layers)
+        inside = vertical[:, None] * _inwards(width, margin_px, ends[1], layers)
+        trust = inside + _LEAST_WEIGHT
+        total[:, rows, columns] += layers * trust
+        weight[rows, columns] += trust
+        nearest[rows, columns] = torch.maximum(nearest[rows, columns], inside)
+    mean = total / weight.clamp(min=_LEAST_WEIGHT)
+    colour, alpha, ratio = mean.split((3, 1, 3))
+    taken = alpha + (1 - alpha) * (1 - ratio) * nearest * (weight > 0)
+    middle = torch.tensor([[radius, radius]], device=photograph.device)
+    colour, alpha, taken = (
+        blurred(layer[None], [sensor], middle, (size, size))[0] for layer in (colour, alpha, taken)
+    )
+    ground = lights.received(srgb_to_linear(photograph)[None])
+    mixed = (ground * (1 - taken) + colour).clamp(min=0.0)
+    pixels = linear_to_srgb(lights.shown(mixed))[0]
+    if sensor.noise > 0:
+        steps = torch.arange(size, device=photograph.device)[None]
+        noise = sensor_noise([seed], steps, steps, photograph[None])[0]
+        pixels = pixels + sensor.noise * alpha * noise
+    reached = (taken != 0).any(0) | (alpha[0] > 0)
+    return torch.where(reached, pixels.clamp(0.0, 1.0), photograph)
+
+
+def _inwards(
+    length: int, margin: int, cut: tuple[bool, bool], like: Tensor
+) -> Float[Tensor, " length"]:
+    """Rises from 0 outside the first pixel to 1 beyond the margin, and falls at an uncut end."""
+    step = torch.arange(length, device=like.device, dtype=like.dtype) + 0.5
+    from_first, from_last = (
+        torch.full_like(step, torch.inf) if end else way
+        for end, way in zip(cut, (step, length - step), strict=True)
+    )
+    return (torch.minimum(from_first, from_last) / max(margin, 1)).clamp(max=1.0)

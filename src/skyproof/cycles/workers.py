@@ -8,29 +8,27 @@ import shutil
 import signal
 import subprocess
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
 
 import msgspec
 import numpy as np
 
-from skyproof.cycles.blender import Blender, worker_environment
+from skyproof.cycles.blender import Blender, find_blender, worker_environment
 from skyproof.cycles.jobs import Job
+from skyproof.cycles.settings import Rendering
 from skyproof.errors import ConfigurationError, RunFolderError
 from skyproof.files import write_bytes
 
-WORKER = Path(__file__).with_name("worker.py")
-
+_WORKER = Path(__file__).with_name("worker.py")
 _MARK = "skyproof-worker "
 _TRIES = 2
 _LAST_LINES = 3
 _DYING_S = 10.0
 _LONGEST_LINE = 100_000
-# Colour and coverage, and the ground's light.
-_CHANNELS = 7
+_CHANNELS = 7  # colour, coverage and the ground's light
 
 
 class Workers:
@@ -46,35 +44,23 @@ class Workers:
         self.blender, self.count = blender, count
         self._scratch = Path(tempfile.mkdtemp(prefix="skyproof-cycles-"))
         self.results = self._scratch / "results" if results is None else Path(results)
+        self.processes = [_Process(blender, self._scratch, number) for number in range(count)]
         self._idle: queue.SimpleQueue[_Process] = queue.SimpleQueue()
-        self._all = [_Process(blender, self._scratch, number) for number in range(count)]
-        for process in self._all:
+        for process in self.processes:
             self._idle.put(process)
 
     def __enter__(self) -> Workers:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
-
-    def process_ids(self) -> list[int]:
-        """The ids of the running processes."""
-        return [number for process in self._all if (number := process.process_id) is not None]
-
-    def close(self) -> None:
-        """Ends the processes and removes their files."""
-        for process in self._all:
-            process.stop()
+    def __exit__(self, *_: object) -> None:
+        self._stop()
         shutil.rmtree(self._scratch, ignore_errors=True)
 
-    def run(
-        self, jobs: Sequence[Job], *, on_done: Callable[[], None] | None = None
-    ) -> list[np.ndarray]:
+    def _stop(self) -> None:
+        for process in self.processes:
+            process.stop()
+
+    def run(self, jobs: Sequence[Job]) -> list[np.ndarray]:
         """The results of all jobs, in their order; existing ones are read.
 
         Raises:
@@ -82,17 +68,10 @@ class Workers:
         """
         executor = ThreadPoolExecutor(self.count)
         try:
-            futures = [executor.submit(self._one, job) for job in jobs]
-            done = []
-            for future in futures:
-                done.append(future.result())
-                if on_done:
-                    on_done()
-            return done
+            return list(executor.map(self._one, jobs))
         except BaseException:
             # Threads wait for their processes: they end at once without them.
-            for process in self._all:
-                process.stop()
+            self._stop()
             raise
         finally:
             executor.shutdown(wait=True, cancel_futures=True)
@@ -110,14 +89,12 @@ class Workers:
             self._idle.put(process)
 
     def _render(self, process: _Process, job: Job, result: Path) -> np.ndarray:
-        place = self._scratch / f"{process.number}.npz"
-        write_bytes(place, job.stored())
+        write_bytes(process.job, job.stored())
         result.parent.mkdir(parents=True, exist_ok=True)
         why = ""
         for _ in range(_TRIES):
-            answer = process.ask(place, result)
-            if answer.done is None:
-                why = " ".join(answer.why.split())[:500]
+            why = " ".join(process.ask(result).split())[:500]
+            if why:
                 continue
             try:
                 return _picture(result, job)
@@ -127,6 +104,13 @@ class Workers:
             f"Blender failed {_TRIES} times at {job.name} ({why}); if memory or disk is short make "
             "room, then run the same command again (finished pictures are kept)."
         )
+
+
+def open_workers(rendering: Rendering, results: Path | None = None) -> Workers:
+    """Starts Blender's processes as a context, one per core that may be used by default."""
+    of_system = hasattr(os, "sched_getaffinity")
+    cores = len(os.sched_getaffinity(0)) if of_system else os.cpu_count() or 1
+    return Workers(find_blender(rendering.blender), rendering.workers or cores, results)
 
 
 class _BadPicture(Exception):
@@ -162,39 +146,35 @@ class _Process:
     """One Blender process, started on demand and restarted after its death."""
 
     def __init__(self, blender: Blender, scratch: Path, number: int) -> None:
-        self.number = number
-        self._command = blender.command(WORKER, str(scratch))
-        self._scratch = scratch
+        self.job = scratch / f"{number}.npz"
+        self.process: subprocess.Popen[str] | None = None
+        self._command = blender.command(_WORKER, str(scratch))
+        self._environment = worker_environment(dict(os.environ), scratch)
         self._log = scratch / f"{number}.log"
-        self._process: subprocess.Popen[str] | None = None
         self._stopped = False
 
-    @property
-    def process_id(self) -> int | None:
-        """Its process id while it runs."""
-        return None if self._process is None else self._process.pid
-
-    def ask(self, job: Path, result: Path) -> _Reply:
-        """Runs one job."""
+    def ask(self, result: Path) -> str:
+        """Runs the job that lies in its file; says why it failed, or nothing."""
+        answer: _Reply | None = None
         try:
-            if self._process is None and not self._start():
-                return _Reply(why=f"it did not start: {self._last_words()}")
-            assert self._process is not None
-            assert self._process.stdin is not None
-            self._process.stdin.write(f"{job}\t{result}\n")
-            self._process.stdin.flush()
+            if self.process is None and not self._start():
+                return f"it did not start: {self._last_words()}"
+            assert self.process is not None
+            assert self.process.stdin is not None
+            self.process.stdin.write(f"{self.job}\t{result}\n")
+            self.process.stdin.flush()
             answer = self._listen()
         except msgspec.DecodeError:
             # The process lives, but its next lines cannot be trusted.
             self._end()
-            return _Reply(why="its process answered in another form")
+            return "its process answered in another form"
         except (BrokenPipeError, ValueError):
-            answer = None
+            pass
         if answer is None:
             why = f"its process died: {self._last_words()}"
             self._end()
-            return _Reply(why=why)
-        return answer
+            return why
+        return answer.why if answer.done is None else ""
 
     def stop(self) -> None:
         """Ends it for good."""
@@ -206,14 +186,14 @@ class _Process:
             return False
         with open(self._log, "w", encoding="utf-8") as log:
             try:
-                self._process = subprocess.Popen(
+                self.process = subprocess.Popen(
                     self._command,
                     stdin=subprocess.PIPE,
                     stdout=subprocess.PIPE,
                     stderr=log,
                     text=True,
                     errors="replace",
-                    env=worker_environment(dict(os.environ), self._scratch),
+                    env=self._environment,
                     # Ctrl-C is for us; the process ends when its input does.
                     start_new_session=True,
                 )
@@ -228,15 +208,15 @@ class _Process:
 
     def _listen(self) -> _Reply | None:
         """The next line for us; None if the process has ended."""
-        assert self._process is not None
-        assert self._process.stdout is not None
-        while line := self._process.stdout.readline(_LONGEST_LINE):
+        assert self.process is not None
+        assert self.process.stdout is not None
+        while line := self.process.stdout.readline(_LONGEST_LINE):
             if line.startswith(_MARK):
                 return msgspec.json.decode(line.removeprefix(_MARK), type=_Reply)
         return None
 
     def _end(self) -> None:
-        process, self._process = self._process, None
+        process, self.process = self.process, None
         if process is not None:
             # Kills its children, too: a launcher's child would hold the pipe open, and a thread
             # would wait for it.
@@ -249,20 +229,15 @@ class _Process:
                     process.stdin.close()
 
     def _last_words(self) -> str:
-        process = self._process
-        if process is not None:
+        if self.process is not None:
             try:
-                code = process.wait(_DYING_S)
+                code = self.process.wait(_DYING_S)
             except subprocess.TimeoutExpired:
                 return "it says nothing more, and does not end"
             if code < 0:
                 return f"signal {-code}"
-        lines = (
-            self._log.read_text(encoding="utf-8", errors="replace").split("\n")
-            if self._log.exists()
-            else []
-        )
-        return (
-            "; ".join([line.strip() for line in lines if line.strip()][-_LAST_LINES:])
-            or "it said nothing"
-        )
+        said = b""
+        with suppress(FileNotFoundError):
+            said = self._log.read_bytes()
+        lines = [line.strip() for line in said.decode(errors="replace").split("\n")]
+        return "; ".join([line for line in lines if line][-_LAST_LINES:]) or "it said nothing"

@@ -14,8 +14,8 @@ CAMOUFLAGE = len(Part)
 # photographed ones (docs/results/reality).
 _DARKEST = 0.015
 
-# Roughness, clear coat, specular level (0.5 is a refractive index of 1.5) and roughness of the coat,
-# as in Blender's Principled BSDF. Our estimates: a coat in daily use is neither polished nor dull.
+# Roughness, clear coat, specular level (0.5 is a refractive index of 1.5), the coat's roughness: as
+# in Blender's Principled BSDF. Our estimates: a coat in daily use is neither polished nor dull.
 # Vehicles are closed shells: windows are dark mirrors, as from above.
 _FINISHES = {
     Part.BODY: (0.6, 1.0, 0.0, 0.12),
