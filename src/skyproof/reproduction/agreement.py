@@ -13,16 +13,7 @@ from jaxtyping import Float
 from scipy import stats
 
 from skyproof.camouflage.name import CamouflageName
-from skyproof.reproduction.cells import (
-    Block,
-    Heading,
-    Table,
-    TextTable,
-    Topic,
-    interval_cells,
-    number,
-    rate,
-)
+from skyproof.reproduction.cells import Block, TextTable, Topic, interval_cells, number, rate
 from skyproof.reproduction.paper_results import ON_BLENDER, ON_RENDERER, PAPER_RESULTS
 from skyproof.reproduction.reproduction import Reproduction, point_name
 from skyproof.results.result import MAIN_MATCH
@@ -130,7 +121,6 @@ def percentile_interval(estimate: float, drawn: Float[np.ndarray, " R"]) -> Inte
 def agreement_part(run: Reproduction) -> Topic:
     """Says how alike the orders are, and which attacks stand elsewhere."""
     rows = _rows(run)
-    heading = Heading("Does our order agree with the paper’s?")
     blocks: list[Block] = ["Fewer than three attacks can be compared."]
     if rows:
         text = (
@@ -141,7 +131,7 @@ def agreement_part(run: Reproduction) -> Topic:
             "says what agreement can be expected."
         )
         blocks = [text, correlation_grid(rows), *_ranks(run)]
-    return Topic([Table("agreement", rows)], [heading, *blocks])
+    return Topic.of("Does our order agree with the paper’s?", {"agreement": rows}, *blocks)
 
 
 def correlation_grid(rows: Sequence[Mapping[str, Any]]) -> TextTable:

@@ -122,6 +122,14 @@ class Topic:
     tables: Sequence[Table] = ()
     blocks: Sequence[Block] = ()
 
+    @classmethod
+    def of(
+        cls, heading: str, tables: Mapping[str, Sequence[Mapping[str, Any]]], *blocks: Block
+    ) -> Topic:
+        """Gives rows by the names of their tables, and blocks below a heading; "" says nothing."""
+        said = [block for block in blocks if block]
+        return cls([Table(*table) for table in tables.items()], [Heading(heading), *said])
+
 
 def as_markdown(blocks: Sequence[Block]) -> str:
     """Writes a page of blocks in Markdown."""

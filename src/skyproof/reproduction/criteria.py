@@ -3,17 +3,7 @@
 import math
 from typing import Any
 
-from skyproof.reproduction.cells import (
-    Block,
-    Heading,
-    Table,
-    TextTable,
-    Topic,
-    interval_cells,
-    number,
-    rate,
-    value,
-)
+from skyproof.reproduction.cells import TextTable, Topic, interval_cells, number, rate, value
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.results.result import LENIENT_MATCH
 from skyproof.words import detector_name
@@ -63,11 +53,11 @@ def criteria_part(run: Reproduction) -> Topic:
             ("then", value("false_alarms_per_km2_adversarial", 0)),
         ],
     )
-    blocks = [Heading("By overlap, and false alarms"), text, grid, *_on_empty_ground(run)]
-    return Topic([Table("criteria", rows)], blocks)
+    heading = "By overlap, and false alarms"
+    return Topic.of(heading, {"criteria": rows}, text, grid, _on_empty_ground(run))
 
 
-def _on_empty_ground(run: Reproduction) -> list[Block]:
+def _on_empty_ground(run: Reproduction) -> str:
     """Says what is found on images without vehicles; nothing where none were shown."""
     found = [
         f"{detector_name(check.detector)} {number(check.false_alarms_per_km2, 0)}"
@@ -75,5 +65,5 @@ def _on_empty_ground(run: Reproduction) -> list[Block]:
         if not check.vehicles and not math.isnan(check.false_alarms_per_km2)
     ]
     if not found:
-        return []
-    return [f"On test ground without vehicles, false alarms per km²: {', '.join(found)}."]
+        return ""
+    return f"On test ground without vehicles, false alarms per km²: {', '.join(found)}."

@@ -6,12 +6,7 @@ from typing import Any
 import numpy as np
 
 from skyproof.camouflage.name import CamouflageName
-from skyproof.reproduction.agreement import (
-    correlated,
-    correlation_grid,
-    successes,
-    with_paper,
-)
+from skyproof.reproduction.agreement import correlated, correlation_grid, successes, with_paper
 from skyproof.reproduction.cells import (
     Block,
     Heading,

@@ -18,8 +18,6 @@ from skyproof.report.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, as_files
 from skyproof.reproduction.cells import (
     Block,
     Figure,
-    Heading,
-    Table,
     TextTable,
     Topic,
     detector_of,
@@ -68,8 +66,8 @@ def features_part(run: Reproduction) -> Topic:
             points += [place | row for row in plane]
     if not numbers:
         return Topic()
-    tables = [Table("embeddings", numbers), Table("embedding_points", points)]
-    return Topic(tables, _blocks(run, numbers, points))
+    tables = {"embeddings": numbers, "embedding_points": points}
+    return Topic.of("What the detectors’ features show", tables, *_blocks(run, numbers, points))
 
 
 def _learnt(every: Sequence[Features]) -> list[CamouflageName]:
@@ -230,8 +228,7 @@ def _blocks(
 ) -> list[Block]:
     known = {row["detector"] for row in rows}
     silent = [detector_name(each) for each in run.detectors if each not in known]
-    parts: list[Block] = [
-        Heading("What the detectors’ features show"),
+    return [
         "Does a camouflage make a vehicle look like ground to a detector? Each point is the mean "
         "of the detector’s feature pyramid over one vehicle’s box, at the level that the detector "
         "gives a box of that size; “ground” are boxes as large, a metre or more from every "
@@ -264,16 +261,14 @@ def _blocks(
                 ("aside", value("aside", 2)),
             ],
         ),
-        *_readings(rows),
+        _readings(rows),
+        f"Of {', '.join(silent)} no features are stored: not every detector shows its own."
+        if silent
+        else "",
     ]
-    if silent:
-        parts.append(
-            f"Of {', '.join(silent)} no features are stored: not every detector shows its own."
-        )
-    return parts
 
 
-def _readings(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+def _readings(rows: Sequence[Mapping[str, Any]]) -> str:
     """Says per camouflage and detector how near to the ground it comes."""
     said = []
     for row in rows:
@@ -285,7 +280,7 @@ def _readings(rows: Sequence[Mapping[str, Any]]) -> list[str]:
             f"were, and {number(row['nearest_own'], 0)} % still nearest to others with "
             f"{row['camouflage']}."
         )
-    return [" ".join(said)] if said else []
+    return " ".join(said)
 
 
 def shown_name(shown: str) -> str:

@@ -17,7 +17,6 @@ from skyproof.reproduction.cells import (
     Block,
     Figure,
     Heading,
-    Table,
     TextTable,
     Topic,
     bracket,
@@ -49,7 +48,6 @@ def held_out_part(run: Reproduction) -> Topic:
     if not run.held_out:
         return Topic()
     blocks: list[Block] = [
-        Heading("Judged by detectors that were not attacked"),
         "No attack learnt on the detectors of this section. Where these learnt from photographs, "
         "they are the counterpart of the paper’s “real” models, which its figures S2 and S3 show "
         "on Blender’s images. Scenes, camouflages, controls and statistics are those of above; "
@@ -64,7 +62,8 @@ def held_out_part(run: Reproduction) -> Topic:
         blocks += _table(run, table, own_baselines, own_hidden)
         baselines += own_baselines
         hidden += own_hidden
-    return Topic([Table("judges_clean", baselines), Table("judges", hidden)], blocks)
+    tables = {"judges_clean": baselines, "judges": hidden}
+    return Topic.of("Judged by detectors that were not attacked", tables, *blocks)
 
 
 def detectors_and_mean(results: Results) -> list[str]:

@@ -2,17 +2,16 @@
 
 from typing import Any
 
-from skyproof.reproduction.cells import Heading, Table, TextTable, Topic, sign, value
+from skyproof.reproduction.cells import TextTable, Topic, sign, value
 from skyproof.reproduction.reproduction import Reproduction
 
 
 def practicality_part(run: Reproduction) -> Topic:
     """Gives the paper's signs, and what was measured beside them."""
     measured = _rows(run)
-    tables = [Table("practicality", measured)]
-    heading = Heading("Practicality")
+    tables = {"practicality": measured}
     if not measured:
-        return Topic(tables, [heading])
+        return Topic.of("Practicality", tables)
     text = "The paper’s signs, summed, and means over the test fleet measured beside them."
     grid = TextTable.of(
         measured,
@@ -28,7 +27,7 @@ def practicality_part(run: Reproduction) -> Topic:
             ("share self-intersecting", value("shape_share_self_intersecting", 2)),
         ],
     )
-    return Topic(tables, [heading, text, grid])
+    return Topic.of("Practicality", tables, text, grid)
 
 
 def _rows(run: Reproduction) -> list[dict[str, Any]]:

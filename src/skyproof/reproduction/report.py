@@ -21,12 +21,11 @@ from skyproof.reproduction.cells import (
     as_markdown,
     number,
 )
-from skyproof.reproduction.colours import colours_part
 from skyproof.reproduction.criteria import criteria_part
 from skyproof.reproduction.cycles import cycles_part
 from skyproof.reproduction.features import features_part
 from skyproof.reproduction.held_out import held_out_part
-from skyproof.reproduction.looks import looks_part
+from skyproof.reproduction.looks import colours_part, looks_part
 from skyproof.reproduction.practicality import practicality_part
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.reproduction.tables import main_part, shape_table, texture_table

@@ -21,16 +21,15 @@ def trust_part(run: Reproduction, rows: Sequence[Mapping[str, Any]]) -> Topic:
     ladder = _ladder_rows(run)
     convergence = _convergence_rows(run)
     gap = _gap_rows(run)
-    blocks: list[Block] = [
-        Heading("Can the attacks be trusted?"),
+    return Topic.of(
+        "Can the attacks be trusted?",
+        {"ladder": ladder, "convergence": convergence, "signs": signs, "gap": gap},
         _tests(run, rows),
         *_signs(signs),
         *_ladder(ladder),
         *_convergence(convergence),
         *_gap(gap),
-    ]
-    named = {"ladder": ladder, "convergence": convergence, "signs": signs, "gap": gap}
-    return Topic([Table(name, own) for name, own in named.items()], blocks)
+    )
 
 
 def _tests(run: Reproduction, rows: Sequence[Mapping[str, Any]]) -> str:

@@ -16,11 +16,7 @@ from skyproof.pictures import read_pixels
 from skyproof.report.figures import as_files
 from skyproof.reproduction.agreement import percentile_interval
 from skyproof.reproduction.cells import (
-    Block,
-    Cell,
     Figure,
-    Heading,
-    Table,
     TextTable,
     Topic,
     interval_cells,
@@ -47,7 +43,7 @@ def variability_part(run: Reproduction) -> Topic:
     pairs = _pairs(run)
     learnt = [name for name in pairs if not name.random]
     if not learnt:
-        return Topic(blocks=[Heading("From several starts"), _MISSING])
+        return Topic.of("From several starts", {}, _MISSING)
     rows: list[dict[str, Any]] = []
     starts: list[dict[str, Any]] = []
     for name in learnt:
@@ -62,29 +58,10 @@ def variability_part(run: Reproduction) -> Topic:
             starts.append({"attack": each, **(interval_cells("easr", easr, 100.0) if easr else {})})
     # The texture that was learnt from most starts; the first of equals.
     most = max(learnt, key=lambda name: len(pairs[name]))
-    blocks = _blocks(rows, [row for row in starts if _pooled(row["attack"]) == most], most)
-    figure = Figure(
-        "variability",
-        f"{most} from its starts, each as its map (nose up, roof in the middle, the underside, "
-        "which nobody sees, at both sides), and the correlations of 4 × 4 texels between them",
-        _figure(run, most),
-    )
-    return Topic([Table("variability", rows), Table("starts", starts)], [*blocks, figure])
-
-
-def _blocks(
-    rows: Sequence[Mapping[str, Any]], starts: Sequence[Mapping[str, Any]], most: CamouflageName
-) -> list[Block]:
-    columns: list[tuple[str, str | Cell]] = [("texture", "attack"), ("starts", "starts")]
-    for what, key, digits in (("correlation", "correlation", 2), ("ΔE", "distance", 0)):
-        for level, prefix in (("of texels", ""), ("of 4 × 4", "seen_")):
-            columns += [
-                (f"{what} {level}", partial(_mean, key=f"{prefix}{key}", digits=digits)),
-                ("random", value(f"random_{prefix}{key}", digits)),
-            ]
-    columns.append(("hidden alike", rate("agreement", 2)))
-    return [
-        Heading("From several starts"),
+    own = [row for row in starts if _pooled(row["attack"]) == most]
+    return Topic.of(
+        "From several starts",
+        {"variability": rows, "starts": starts},
         "How alike the textures are that one attack ends with from different seeds, over all "
         "pairs of them: correlation of the texels (per channel, mean of the three; 0 where they "
         "have nothing to do with each other) and mean distance of their colours in CIELAB (ΔE; "
@@ -94,10 +71,31 @@ def _blocks(
         "among draws of the random control. “hidden alike” correlates, over the vehicles that a "
         "detector found before, which of them two starts hide (mean over pairs and detectors; 95 % "
         "interval over background tiles); it is undefined where a start hides all.",
-        TextTable.of(rows, columns),
+        TextTable.of(
+            rows,
+            [
+                ("texture", "attack"),
+                ("starts", "starts"),
+                ("correlation of texels", partial(_mean, key="correlation", digits=2)),
+                ("random", value("random_correlation", 2)),
+                ("correlation of 4 × 4", partial(_mean, key="seen_correlation", digits=2)),
+                ("random", value("random_seen_correlation", 2)),
+                ("ΔE of texels", partial(_mean, key="distance", digits=0)),
+                ("random", value("random_distance", 0)),
+                ("ΔE of 4 × 4", partial(_mean, key="seen_distance", digits=0)),
+                ("random", value("random_seen_distance", 0)),
+                ("hidden alike", rate("agreement", 2)),
+            ],
+        ),
         f"The starts of {most} one by one, with intervals over tiles and vehicles:",
-        TextTable.of(starts, [("start", "attack"), ("EASR, %", rate("easr"))]),
-    ]
+        TextTable.of(own, [("start", "attack"), ("EASR, %", rate("easr"))]),
+        Figure(
+            "variability",
+            f"{most} from its starts, each as its map (nose up, roof in the middle, the underside, "
+            "which nobody sees, at both sides), and the correlations of 4 × 4 texels between them",
+            _figure(run, most),
+        ),
+    )
 
 
 def _pooled(camouflage: str) -> CamouflageName:

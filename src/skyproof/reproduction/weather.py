@@ -12,17 +12,7 @@ import numpy as np
 
 from skyproof.camouflage.name import IN_WEATHER, CamouflageName
 from skyproof.report.figures import BLUE, GREY, ORANGE, as_files
-from skyproof.reproduction.cells import (
-    Block,
-    Figure,
-    Heading,
-    Table,
-    TextTable,
-    Topic,
-    interval_cells,
-    rate,
-    value,
-)
+from skyproof.reproduction.cells import Figure, TextTable, Topic, interval_cells, rate, value
 from skyproof.reproduction.drawing import figure_style, panels, rule
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.results.conditions import shared_groups
@@ -64,8 +54,9 @@ def weather_part(run: Reproduction) -> Topic:
     rows = [row for row in every if row["detector"] == detectors[-1]]
     conditions = dict.fromkeys(row["condition"] for row in rows)
     names = dict.fromkeys(row["attack"] for row in rows)
-    blocks: list[Block] = [
-        Heading("In weather"),
+    return Topic.of(
+        "In weather",
+        {"weather": every},
         "The other tables show clear days, on which all else here was learnt. "
         f"{', '.join(names)} was also learnt in all weathers, with as many steps, and both are "
         "judged in every weather: “clear” are the usual test scenes, the others scenes drawn "
@@ -94,8 +85,7 @@ def weather_part(run: Reproduction) -> Topic:
             ],
         ),
         *_readings(rows),
-    ]
-    return Topic([Table("weather", every)], blocks)
+    )
 
 
 def _rows(
