@@ -9,10 +9,9 @@ from pathlib import Path
 
 from skyproof.assessment.run import START_S, Step
 from skyproof.assessment.subject import Subject
-from skyproof.cli.card import say_card
 from skyproof.cli.clear import FAILED, clear_tiles, failed_precheck
 from skyproof.cli.ground import Ground
-from skyproof.cli.import_detector import Import
+from skyproof.cli.import_detector import Import, say_card
 from skyproof.cli.precheck import Precheck
 from skyproof.cli.render import Render, draw_scenes
 from skyproof.cli.vehicles import Vehicles

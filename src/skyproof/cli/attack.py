@@ -22,7 +22,7 @@ from skyproof.scenes.settings import SceneSettings
 if TYPE_CHECKING:
     import torch
 
-    from skyproof.camouflage.camouflage import Camouflage
+    from skyproof.attacks.making import Maker
 
 BEST_OF = 32
 """Number of random draws of a best-of-N control."""
@@ -87,21 +87,33 @@ class Attack:
         attacked = [name for name in names if name not in drawn]
         # Mistakes are refused before anything is made.
         if attacked:
-            self._check_scenes(attacked[0])
-        palette = self._palette(names)
-        if drawn:
-            self._draw(drawn, palette)
-        if attacked:
-            self._attack(attacked, palette)
-        say(f"Camouflages: {self.out.resolve()} ({', '.join(map(str, names))})")
+            if not self.detectors or self.backgrounds is None or self.fleet is None:
+                raise ConfigurationError(
+                    f"{attacked[0]} needs detectors and scenes; give --detectors, --backgrounds "
+                    "and --fleet."
+                )
+            SceneSettings(vehicles_maximum=1, conditions=self.conditions)
+        from skyproof.attacks.making import draw_random_control
+        from skyproof.camouflage.folder import load_camouflage
 
-    def _check_scenes(self, name: CamouflageName) -> None:
-        """Refuses options without detectors or scenes."""
-        if not self.detectors or self.backgrounds is None or self.fleet is None:
-            raise ConfigurationError(
-                f"{name} needs detectors and scenes; give --detectors, --backgrounds and --fleet."
-            )
-        SceneSettings(vehicles_maximum=1, conditions=self.conditions)
+        palette = self._palette(names)
+        maker = None
+        for name in (*drawn, *attacked):
+            folder = self.out / str(name)
+            texture = load_camouflage(self.texture) if self.texture else None
+            if name in drawn:
+                draw_random_control(
+                    name,
+                    folder,
+                    seed=self.settings.seed,
+                    palette=palette,
+                    texture=texture,
+                    settings=self.camouflage,
+                )
+            else:
+                maker = maker or self._maker(palette)
+                maker.make(name, folder, draws=self.draws, texture=texture)
+        say(f"Camouflages: {self.out.resolve()} ({', '.join(map(str, names))})")
 
     def _palette(self, names: Sequence[CamouflageName]) -> torch.Tensor | None:
         """The fixed colours of Fc, from which Lc and Pix start, too."""
@@ -124,28 +136,8 @@ class Attack:
         say(f"Palette: {', '.join('#' + bytes(colour).hex() for colour in colours)}")
         return palette
 
-    def _draw(self, names: Sequence[CamouflageName], palette: torch.Tensor | None) -> None:
-        """Draws random controls (section 5.4)."""
-        from skyproof.attacks.making import draw_random_control
-
-        texture = self._finished_texture()
-        for name in names:
-            draw_random_control(
-                name,
-                self.out / str(name),
-                seed=self.settings.seed,
-                palette=palette,
-                texture=texture,
-                settings=self.camouflage,
-            )
-
-    def _finished_texture(self) -> Camouflage | None:
-        from skyproof.camouflage.folder import load_camouflage
-
-        return load_camouflage(self.texture) if self.texture else None
-
-    def _attack(self, names: Sequence[CamouflageName], palette: torch.Tensor | None) -> None:
-        """Optimises each camouflage after a sign test of its gradient, or chooses a control."""
+    def _maker(self, palette: torch.Tensor | None) -> Maker:
+        """Opens the detectors and their world."""
         from skyproof.attacks.making import Maker
         from skyproof.attacks.world import World
         from skyproof.detectors.card import read_card
@@ -163,7 +155,4 @@ class Attack:
             places=self.places,
         )
         ensemble = load_ensemble(self.detectors, device, world.backgrounds.gsd_m)
-        maker = Maker(ensemble, world, self.settings, device, palette, self.camouflage)
-        for name in names:
-            texture = self._finished_texture()
-            maker.make(name, self.out / str(name), draws=self.draws, texture=texture)
+        return Maker(ensemble, world, self.settings, device, palette, self.camouflage)

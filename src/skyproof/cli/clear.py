@@ -57,8 +57,7 @@ class Clear:
             self._reject()
             return
         refuse_existing(self.out)
-        finder = _finder(self.detector, self.device)
-        checker = finder
+        checker = finder = _finder(self.detector, self.device)
         if self.check_detector is not None:
             checker = _finder(self.check_detector, self.device)
         elif self.detector is not None and failed_precheck(self.detector):

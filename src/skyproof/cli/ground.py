@@ -92,9 +92,8 @@ class Ground:
         from skyproof.imagery.tiles.tiling import tile_imagery
         from skyproof.randomness import generator_of
 
-        labels = None
-        if self.labels.path is not None:
-            labels = (read_labels(self.labels.path), self.labels)
+        path = self.labels.path
+        labels = None if path is None else (read_labels(path), self.labels)
         with progress_bar("ground tiles") as update:
             return tile_imagery(
                 self.sources,

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 from msgspec import Meta
 
-from skyproof.cli.card import say_card
+from skyproof.console import say
 from skyproof.files import refuse_existing
 from skyproof.ranges import GroundResolution, Name
+
+if TYPE_CHECKING:
+    from skyproof.detectors.card import DetectorCard
 
 
 @dataclass(frozen=True)
@@ -61,3 +64,13 @@ class Import:
             checkpoint, Dataset.open(self.validation), self.out, name=self.name, device=device
         )
         say_card(card, self.out)
+
+
+def say_card(card: DetectorCard, folder: Path) -> None:
+    """Prints how good a detector is on its validation images, and warnings."""
+    say(
+        f"Validation AP (centre within 1 m) {card.validation['ap_centre_1m']:.3f}, threshold "
+        f"{card.threshold:.3f}. Detector: {folder.resolve()}"
+    )
+    for doubt in card.doubts:
+        say(f"Warning: {doubt}")

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from skyproof.cli.card import say_card
+from skyproof.cli.import_detector import say_card
 from skyproof.console import progress_bar
 from skyproof.detectors.settings import SIZES, TRAINING_PRESETS, TrainingChanges
 from skyproof.errors import ConfigurationError

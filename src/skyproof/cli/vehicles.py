@@ -86,15 +86,14 @@ class Vehicles:
     def _combine(self) -> None:
         from skyproof.vehicles.fleet import Fleet, mix_fleets
 
-        fleets_given = [Fleet.load(source) for source in self.sources if source.is_dir()]
+        fleets = [Fleet.load(source) for source in self.sources if source.is_dir()]
         meshes = [source for source in self.sources if not source.is_dir()]
         wrapped = self._wrap(meshes) if meshes else {}
         reports = {
             vehicle_id: {**vehicle.report, "licence": self.wrapping.licence}
             for vehicle_id, vehicle in wrapped.items()
         }
-        fleets = [_fleet_of(wrapped, reports), *fleets_given] if wrapped else fleets_given
-        fleet = mix_fleets(fleets)
+        fleet = mix_fleets([_fleet_of(wrapped, reports), *fleets] if wrapped else fleets)
         if wrapped:
             _say_reports(reports)
             self._refuse_bad_fits(reports)
@@ -108,17 +107,13 @@ class Vehicles:
     def _wrap(self, meshes: list[Path]) -> dict[str, WrappedVehicle]:
         from skyproof.vehicles.wrapping.wrap import wrap_mesh
 
-        named = self.wrapping.of_meshes(meshes)
+        how = self.wrapping
         wrapped: dict[str, WrappedVehicle] = {}
         with progress_bar("vehicles") as update:
-            for path, name, scale in named:
-                vehicle_id = f"{_body_type(name)}-{self.wrapping.first_number + len(wrapped):04d}"
+            for path, name, scale in how.of_meshes(meshes):
+                vehicle_id = f"{_body_type(name)}-{how.first_number + len(wrapped):04d}"
                 wrapped[vehicle_id] = wrap_mesh(
-                    path,
-                    scale=scale,
-                    up=self.wrapping.up,
-                    forward=self.wrapping.forward,
-                    paintable=self.wrapping.paintable,
+                    path, scale=scale, up=how.up, forward=how.forward, paintable=how.paintable
                 )
                 update(len(wrapped), len(meshes))
         return wrapped
@@ -197,12 +192,11 @@ def _write_pictures(
     from skyproof.render.portrait import turntable_row
 
     write_json(folder / "wrap.json", reports)
-    rows = [
-        turntable_row(
-            vehicle.mesh, fleet.batch([vehicle_id]), _caption(vehicle_id, reports[vehicle_id])
-        )
-        for vehicle_id, vehicle in wrapped.items()
-    ]
+    rows = []
+    for vehicle_id, report in reports.items():
+        fit = f"IoU from above {report['iou_above']:.3f}"
+        caption = f"{vehicle_id}   {_size(report)}   {fit}   {report['mesh']}"
+        rows.append(turntable_row(wrapped[vehicle_id].mesh, fleet.batch([vehicle_id]), caption))
     Image.fromarray(np.concatenate(rows)).save(folder / "turntable.png")
 
 
@@ -213,11 +207,6 @@ def _body_type(name: str) -> str:
 
 def _size(report: dict[str, Any]) -> str:
     return " x ".join(f"{value:.2f}" for value in report["size_m"]) + " m"
-
-
-def _caption(vehicle_id: str, report: dict[str, Any]) -> str:
-    fit = f"IoU from above {report['iou_above']:.3f}"
-    return f"{vehicle_id}   {_size(report)}   {fit}   {report['mesh']}"
 
 
 def _say_reports(reports: dict[str, dict[str, Any]]) -> None:
