@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from skyproof.attacks.attack import attack
+from skyproof.attacks.making import sign_test
 from skyproof.attacks.objective import target_scores
 from skyproof.attacks.settings import AttackSettings
-from skyproof.attacks.sign_test import sign_test
 from skyproof.attacks.world import World
 from skyproof.camouflage.folder import load_camouflage
 from skyproof.camouflage.make import make_camouflage

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from skyproof.attacks.attack import attack
 from skyproof.attacks.held_out import BATCHES, HeldOut, Hidden
-from skyproof.attacks.search import choose
+from skyproof.attacks.making import choose
 from skyproof.attacks.world import World
 from skyproof.camouflage.camouflage import Camouflage, random_part
 from skyproof.camouflage.folder import load_camouflage, save_camouflage

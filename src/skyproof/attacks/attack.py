@@ -21,9 +21,9 @@ from skyproof.attacks.objective import (
     balanced_weights,
     empty_truth_losses,
     frozen,
+    objective,
     objective_and_gradient,
 )
-from skyproof.attacks.search import search_step
 from skyproof.attacks.settings import AttackSettings
 from skyproof.attacks.world import World
 from skyproof.camouflage.camouflage import Camouflage
@@ -197,12 +197,26 @@ class _Run:
             }
         return recorded
 
+    @torch.no_grad()
     def search(self) -> _Batch:
-        """Tries a random change."""
-        weights, step = self.loop.facts["weights"], self.loop.step
-        return search_step(
-            self.camouflage, self.detectors, weights, self.world, self.settings, step
-        )
+        """Tries a random change of the finished camouflage, kept if the objective is lower.
+
+        Both are tried on the same half of a batch, so that a search has as many forward passes as
+        an attack of as many steps.
+        """
+        settings, step = self.settings, self.loop.step
+        scenes = self.world.step_scenes(max(1, settings.batch_size // 2), settings.seed, step)
+        other = copy.deepcopy(self.camouflage)
+        other.vary_(torch.Generator().manual_seed((settings.seed * 1_000_033 + step) % 2**63))
+        found = []
+        for each in (self.camouflage, other):
+            images = self.world.frames(each, scenes).image
+            found.append((objective(self.detectors, self.loop.facts["weights"], images), images))
+        before, after = found
+        if after[0].loss < before[0].loss:
+            self.camouflage.load_state_dict(other.state_dict())
+            return after
+        return before
 
     def descend(self, optimiser: torch.optim.Adam, schedule: LambdaLR) -> _Batch:
         """Takes a step along the gradient."""
@@ -215,8 +229,7 @@ class _Run:
         if not math.isfinite(now.loss):
             raise NotFiniteError(
                 f"The loss of {camouflage.name} is {now.loss} at step {step}; attack again in "
-                "another folder, with a lower learning rate than "
-                f"{settings.learning_rate:g}."
+                f"another folder, with a lower learning rate than {settings.learning_rate:g}."
             )
         descend(camouflage, optimiser, images, gradient)
         schedule.step()
@@ -245,11 +258,9 @@ def attack_weights(
 
 def make_optimiser(camouflage: Camouflage, settings: AttackSettings) -> torch.optim.Adam:
     """Makes Adam for the start of an attack, with a learning rate for every parameter."""
+    rates = camouflage.learning_rates
     groups = [
-        {
-            "params": [value],
-            "lr": settings.learning_rate * camouflage.learning_rates.get(name, 1.0),
-        }
+        {"params": [value], "lr": settings.learning_rate * rates.get(name, 1.0)}
         for name, value in camouflage.named_parameters()
         # A sequential attack keeps the finished texture under its shape.
         if value.requires_grad

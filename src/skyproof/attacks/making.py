@@ -3,6 +3,8 @@
 Finished ones are kept, unless they were made with other detectors, scenes or colours.
 """
 
+import copy
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -11,13 +13,13 @@ from typing import Any
 
 import torch
 from jaxtyping import Float
+from scipy import special
 from torch import Tensor
 
 from skyproof.attacks import held_out
-from skyproof.attacks.attack import attack
-from skyproof.attacks.search import choose
+from skyproof.attacks.attack import attack, attack_weights, descend, make_optimiser
+from skyproof.attacks.objective import frozen, objective_and_gradient, target_scores
 from skyproof.attacks.settings import AttackSettings
-from skyproof.attacks.sign_test import sign_test
 from skyproof.attacks.world import World
 from skyproof.camouflage import make
 from skyproof.camouflage.camouflage import Camouflage
@@ -26,10 +28,15 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.settings import CamouflageSettings
 from skyproof.console import progress_bar
 from skyproof.detectors.detector import Detector, TrainableDetector
+from skyproof.errors import NotFiniteError
 from skyproof.files import drop_empty_folder, finished_folder
 from skyproof.loop import refuse_other
 from skyproof.randomness import generator_of
 from skyproof.storage import weights_digest
+
+_FIRST_BATCHES = 2
+_FINALISTS = 4
+"""One candidate in four is tried on all scenes."""
 
 
 def draw_random_control(
@@ -52,13 +59,9 @@ def draw_random_control(
         "texture_sha256": None if texture is None else weights_digest(texture),
     }
 
-    def draw() -> tuple[Camouflage, dict[str, Any]]:
-        control = make.draw_control(
-            name, seed=seed, palette=palette, texture=texture, settings=settings
-        )
-        return control, {"seed": seed, "drawn": drawn}
-
-    _make_once(folder, "drawn", drawn, draw)
+    if not _is_made(folder, "drawn", drawn):
+        given = {"palette": palette, "texture": texture, "settings": settings}
+        _store(folder, make.draw_control(name, seed=seed, **given), {"seed": seed, "drawn": drawn})
 
 
 @dataclass(frozen=True)
@@ -108,16 +111,14 @@ class Maker:
             "texture_sha256": None,
         }
 
-        def best() -> tuple[Camouflage, dict[str, Any]]:
+        if not _is_made(folder, "by", by):
             candidates = make.make_candidates(
                 name, draws, seed=seed, palette=self.palette, settings=self.camouflage
             )
             moved = [candidate.to(self.device) for candidate in candidates]
             chosen, record = choose(moved, scenes, progress=progress)
             chosen.name = name
-            return chosen, {"chosen": {**record, "seed": seed}, "by": by}
-
-        _make_once(folder, "by", by, best)
+            _store(folder, chosen, {"chosen": {**record, "seed": seed}, "by": by})
 
     def _optimise(
         self,
@@ -157,6 +158,83 @@ class Maker:
         return held_out.HeldOut(self.detectors, self.world, self.settings.seed, batch_size)
 
 
+def choose(
+    candidates: Sequence[Camouflage],
+    scenes: held_out.HeldOut,
+    progress: Callable[[int, int], None],
+) -> tuple[Camouflage, dict[str, Any]]:
+    """Chooses the camouflage that hides most vehicles on held-out scenes, mean over detectors.
+
+    All are tried on a quarter of the scenes, and the best quarter of them on all scenes. Of equals
+    the one with the lower scores on its targets wins. `progress` is called with (candidates tried,
+    candidates in all). Returns the best candidate, and the choice as JSON values.
+    """
+    first = []
+    for number, candidate in enumerate(candidates):
+        progress(number, len(candidates))
+        first.append(scenes.measure(candidate, _FIRST_BATCHES))
+    ranked = sorted(range(len(candidates)), key=lambda number: first[number], reverse=True)
+    finalists = ranked[: math.ceil(len(candidates) / _FINALISTS)]
+    final = {number: scenes.measure(candidates[number]) for number in finalists}
+    names = [str(candidate.name) for candidate in candidates]
+    return candidates[max(finalists, key=lambda number: final[number])], {
+        "of": names,
+        "hidden": [found.hidden for found in first],
+        "scenes": scenes.scenes(_FIRST_BATCHES),
+        "finalists": {names[number]: found.hidden for number, found in final.items()},
+        "final_scenes": scenes.scenes(),
+    }
+
+
+def sign_test(
+    camouflage: Camouflage,
+    detectors: Sequence[TrainableDetector],
+    world: World,
+    settings: AttackSettings,
+) -> dict[str, dict[str, Any]]:
+    """Takes one step of the attack's own optimiser, and compares the scores on the step's vehicles.
+
+    Every one of the `balance_batches` starts from the given camouflage, which is not changed, on
+    scenes that no step of the attack sees. "p" is the one-sided exact chance of so many fallen
+    scores (binomial; unchanged scores have not fallen).
+    """
+    before: dict[str, list[Tensor]] = {detector.name: [] for detector in detectors}
+    after: dict[str, list[Tensor]] = {detector.name: [] for detector in detectors}
+    gsd_m = world.backgrounds.gsd_m
+    with frozen(detectors):
+        weights = attack_weights(detectors, world, settings)
+        for batch in range(settings.balance_batches):
+            scenes = world.step_scenes(settings.batch_size, settings.seed, -batch)
+            moved = copy.deepcopy(camouflage)
+            moved.before_step_(1, settings.steps)
+            frames = world.frames(moved, scenes)
+            _, gradient = objective_and_gradient(detectors, weights, frames.image)
+            descend(moved, make_optimiser(moved, settings), frames.image, gradient)
+            with torch.no_grad():
+                stepped = world.frames(moved, scenes)
+            for detector in detectors:
+                before[detector.name].append(target_scores(detector, frames, gsd_m))
+                after[detector.name].append(target_scores(detector, stepped, gsd_m))
+    for name, scores in (*before.items(), *after.items()):
+        if not bool(torch.cat(scores).isfinite().all()):
+            raise NotFiniteError(
+                f"The scores of the detector {name} are not finite on the attack's scenes; train "
+                "or import it again, or attack with a lower learning rate."
+            )
+    return {name: _compared(torch.cat(before[name]), torch.cat(after[name])) for name in before}
+
+
+def _compared(before: Tensor, after: Tensor) -> dict[str, Any]:
+    fell = int((after < before).sum())
+    return {
+        "scenes": len(before),
+        "fell": fell,
+        # The binomial tail as scipy.stats has it, whose import takes as long as some steps.
+        "p": float(special.bdtrc(fell - 1, len(before), 0.5)),
+        "mean_change": float((after - before).mean()),
+    }
+
+
 def _constraints(
     name: CamouflageName, palette: Tensor | None, settings: CamouflageSettings
 ) -> dict[str, Any]:
@@ -167,18 +245,16 @@ def _constraints(
     }
 
 
-def _make_once(
-    folder: Path,
-    key: str,
-    made_from: dict[str, Any],
-    work: Callable[[], tuple[Camouflage, dict[str, Any]]],
-) -> None:
-    """Makes and stores a control, or refuses a stored one that was made from something else."""
-    if (folder / "camouflage.json").exists():
-        stored = read_record(folder).get(key)
-        refuse_other(folder, stored, made_from, "a control that was made otherwise")
-        return
-    camouflage, record = work()
+def _is_made(folder: Path, key: str, made_from: dict[str, Any]) -> bool:
+    """Whether a control is stored; one that was made from something else is refused."""
+    if not (folder / "camouflage.json").exists():
+        return False
+    stored = read_record(folder).get(key)
+    refuse_other(folder, stored, made_from, "a control that was made otherwise")
+    return True
+
+
+def _store(folder: Path, camouflage: Camouflage, record: dict[str, Any]) -> None:
     drop_empty_folder(folder)
     with finished_folder(folder) as partial:
         save_camouflage(partial, camouflage, record)

@@ -118,7 +118,7 @@ class _Evolution:
 
 
 class _RandomChanges:
-    """Keeps a random change if it lowers the score, as `search_step` does by losses."""
+    """Keeps a random change if it lowers the score, as a search control does by losses."""
 
     candidates = 2
 
