@@ -199,7 +199,7 @@ def test_large_scenes_are_seen_in_windows(backgrounds, fleet, scenes, monkeypatc
     monkeypatch.setattr(inference, "LARGEST_WHOLE_PX", SIZE_PX - 1)
     toy = Toy("toy", scenes, fleet)
     stage = SceneRenderer(fleet, TorchRenderer(backgrounds))
-    (view,) = views([judging(toy)], scenes, [], stage)
+    (view,) = views([judging(toy)], scenes, [], stage, progress=lambda _: None)
     # Each large picture is looked at alone.
     assert len(toy.contrasts) == len(view.found["toy"]) == 3
 
@@ -211,7 +211,8 @@ def test_views_are_what_a_dataset_folder_shows(backgrounds, fleet, scenes, tmp_p
     stored = Dataset.open(tmp_path / "drawn")
     toy = Toy("toy", scenes, fleet)
     stage = SceneRenderer(fleet, renderer)
-    before, after = views([judging(toy)], scenes, [SceneChange("paint", paint)], stage)
+    changes = [SceneChange("paint", paint)]
+    before, after = views([judging(toy)], scenes, changes, stage, progress=lambda _: None)
     assert list(after.images.ids) == list(stored.ids)
     for index in range(len(scenes)):
         assert torch.equal(after.images.image(index), stored.image(index))

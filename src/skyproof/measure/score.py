@@ -90,8 +90,7 @@ def score(
             outcomes = writer.write()
         for each in baselines:
             rows += measure_baselines(detectors, each, seed=seed)
-            if count is not None:
-                count(len(each.images))
+            count(len(each.images))
         thresholds = {each.name: each.threshold for each in detectors}
         rows.sort(key=lambda row: [*thresholds].index(row.detector))
         write_rows(partial / "baselines.json", rows)

@@ -48,18 +48,11 @@ class SceneChange:
 
 @dataclass(frozen=True, eq=False)
 class SceneView:
-    """Scenes under one change, and the detections in them.
+    """Scenes under one change, and the detections in them."""
 
-    Attributes:
-        name: name of the change; "original" without one.
-        images: one image per scene, with its vehicles; rendered images are rendered again on
-            demand.
-        found: detections by detector and image.
-    """
-
-    name: str
-    images: Dataset
-    found: Mapping[str, Sequence[Detections]]
+    name: str  # of the change; "original" without one
+    images: Dataset  # one per scene, with its vehicles; rendered ones are rendered on demand
+    found: Mapping[str, Sequence[Detections]]  # by detector and image
     _matched: dict[tuple[str, Match], MatchTable] = field(default_factory=dict, repr=False)
 
     def matched(self, detector: str, match: Match) -> MatchTable:
@@ -107,7 +100,7 @@ def views(
     stage: SceneRenderer,
     *,
     unchanged: Dataset | None = None,
-    progress: Callable[[int], None] | None = None,
+    progress: Callable[[int], None],
 ) -> Iterator[SceneView]:
     """Yields the view of the scenes as they are, then one under each change.
 
@@ -124,8 +117,7 @@ def views(
         before = _render_and_detect(detectors, scenes, SceneChange(ORIGINAL), stage, progress)
     else:
         before = look(detectors, ORIGINAL, unchanged)
-        if progress:
-            progress(len(scenes))
+        progress(len(scenes))
     for each in detectors:
         _refuse_blind(each, before)
     yield before
@@ -139,18 +131,15 @@ def look(detectors: Sequence[Detector], name: str, images: Dataset) -> SceneView
     return SceneView(name, images, dict(zip([each.name for each in detectors], found, strict=True)))
 
 
-def counter(
-    progress: Callable[[int, int], None] | None, total: int
-) -> Callable[[int], None] | None:
-    """Turns a function of (done, total) into one of the number of further images."""
-    if progress is None:
-        return None
+def counter(progress: Callable[[int, int], None] | None, total: int) -> Callable[[int], None]:
+    """Turns a function of (done, total), if any, into one of the number of further images."""
     done = 0
 
     def count(more: int) -> None:
         nonlocal done
         done += more
-        progress(done, total)
+        if progress is not None:
+            progress(done, total)
 
     return count
 
@@ -160,7 +149,7 @@ def _render_and_detect(
     scenes: Sequence[Scene],
     change: SceneChange,
     stage: SceneRenderer,
-    progress: Callable[[int], None] | None,
+    progress: Callable[[int], None],
 ) -> SceneView:
     draw = stage.under(change)
     batches = [scenes[start : start + _BATCH_SIZE] for start in range(0, len(scenes), _BATCH_SIZE)]
@@ -187,8 +176,7 @@ def _render_and_detect(
             boxes += [labels[owner == index] for index in range(len(batch))]
             fractions = frames.visible_fraction.float().cpu()
             visible += [fractions[owner == index] for index in range(len(batch))]
-            if progress:
-                progress(len(batch))
+            progress(len(batch))
     images = Dataset(
         pictures=pictures,
         boxes=boxes,
