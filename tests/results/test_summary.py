@@ -7,8 +7,8 @@ from typing import get_type_hints
 import numpy as np
 import pytest
 
+from skyproof.results import result
 from skyproof.results.pairs.outcomes import Outcome
-from skyproof.results.result import summarise
 from skyproof.results.score_folder import SetScore
 from skyproof.results.statistics.hypotheses import mcnemar_p
 from tests.results.counted import count_outcomes
@@ -35,7 +35,7 @@ REQUIRED = [
 
 def summarise(tiles, sets, *, generator):
     """The rows as `results.json` has them."""
-    return [row.json() for row in summarise(tiles, sets, generator=generator)]
+    return [row.json() for row in result.summarise(tiles, sets, generator=generator)]
 
 
 def outcomes(camouflage, detector, detected, match="centre_1m"):
@@ -154,7 +154,7 @@ def test_the_strongest_strongest_control_counts_and_the_lowest_limit(rng):
         for name, lost in hidden.items()
         for outcome in outcomes(name, "a", [(1, 0 if i in lost else 1) for i in range(20)])
     ]
-    made = summarise(count_outcomes(found), [], generator=rng)
+    made = result.summarise(count_outcomes(found), [], generator=rng)
     row = {str(row.camouflage): row for row in made}["T-Ma"]
     assert (str(row.strongest.control), row.strongest.easr) == ("R-Ma_plain", 0.5)
     assert row.strongest.net.estimate == pytest.approx(0.3)
@@ -162,7 +162,7 @@ def test_the_strongest_strongest_control_counts_and_the_lowest_limit(rng):
     alone = {
         control: next(
             row.strongest
-            for row in summarise(
+            for row in result.summarise(
                 count_outcomes([one for one in found if one.camouflage in ("T-Ma", control)]),
                 [],
                 generator=np.random.default_rng(1),
