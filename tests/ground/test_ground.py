@@ -7,10 +7,9 @@ import pytest
 import torch
 
 from skyproof.geometry.colour import srgb_to_cielab
-from skyproof.ground.built_up import draw_car_park
 from skyproof.ground.canvas import Canvas
-from skyproof.ground.photograph import GroundSensor, photograph, sunlight
-from skyproof.ground.procedural import GROUND_KINDS, draw_ground
+from skyproof.ground.kinds import draw_car_park
+from skyproof.ground.procedural import GROUND_KINDS, GroundSensor, draw_ground, photograph, sunlight
 
 
 def _flat_canvas(azimuth_rad):
@@ -27,7 +26,7 @@ def test_every_kind_draws(kind):
     assert np.isfinite(canvas.reflectance).all()
     assert np.isfinite(canvas.height).all()
     assert canvas.reflectance.max(2).min() > 0, "some ground was left undrawn"
-    image = photograph(canvas, GroundSensor.draw(canvas.rng)).image
+    image, _, _ = photograph(canvas, GroundSensor.draw(canvas.rng))
     assert image.shape == (3, 128, 128)
     assert image.std() > 4
     assert np.abs(np.diff(image.astype(float), axis=2)).mean() > 0.5

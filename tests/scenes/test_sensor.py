@@ -11,8 +11,7 @@ from skyproof.attacks.world import World
 from skyproof.cycles.renderer import open_renderer
 from skyproof.cycles.settings import Rendering
 from skyproof.errors import ConfigurationError, StoredFileError
-from skyproof.ground.photograph import GroundSensor
-from skyproof.ground.procedural import write_procedural_backgrounds
+from skyproof.ground.procedural import GroundSensor, write_procedural_backgrounds
 from skyproof.imagery.sharpness import measure_sensor
 from skyproof.scenes.background_index import BackgroundTile, change_sensors, save_tile, write_index
 from skyproof.scenes.backgrounds import BackgroundSet

@@ -123,16 +123,16 @@ def _roof_lights(
     colour = reflectance((214, 218, 222) if rng.random() < 0.5 else (60, 70, 82))
     for u_m in np.arange(-half_m[0] + 1, half_m[0] - 1, spacing_m).tolist():
         spot = beside(place, angle_rad, u_m, row_v)
-        canvas.paint_rectangle(spot, size_m, angle_rad, colour * rng.uniform(0.8, 1.2))
+        canvas.paint(canvas.rectangle(spot, size_m, angle_rad), colour * rng.uniform(0.8, 1.2))
         pane_m = (size_m[0] - 0.4, size_m[1] - 0.4)
-        canvas.paint_rectangle(spot, pane_m, angle_rad, colour * 0.75)
+        canvas.paint(canvas.rectangle(spot, pane_m, angle_rad), colour * 0.75)
 
 
 def _chimney(canvas: Canvas, place: Place, angle_rad: float) -> None:
     chimney = canvas.rectangle(place, (0.7, 0.9), angle_rad)
     canvas.raise_to(chimney, canvas.base_height(place) + 1.2)
     canvas.paint(chimney, canvas.pick(_CHIMNEYS))
-    canvas.paint_rectangle(place, (0.35, 0.5), angle_rad, reflectance((40, 38, 36)))
+    canvas.paint(canvas.rectangle(place, (0.35, 0.5), angle_rad), reflectance((40, 38, 36)))
 
 
 def _solar_panels(canvas: Canvas, place: Place, size_m: Place, angle_rad: float) -> None:

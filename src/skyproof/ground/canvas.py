@@ -54,7 +54,7 @@ class Patch:
 
     @property
     def empty(self) -> bool:
-        """True where the shape lies wholly outside the canvas."""
+        """Whether the shape lies wholly outside the canvas."""
         return self.u.size == 0
 
 
@@ -113,9 +113,7 @@ class Canvas:
 
     def to_pixels(self, u_m: float, v_m: float) -> tuple[float, float]:
         """Column and row of a place."""
-        cosine = math.cos(self.axes_rad)
-        sine = math.sin(self.axes_rad)
-        x, y = cosine * u_m - sine * v_m, sine * u_m + cosine * v_m
+        x, y = beside((0.0, 0.0), self.axes_rad, u_m, v_m)
         return self.pixels / 2 + x / self.gsd_m, self.pixels / 2 - y / self.gsd_m
 
     def _local(
@@ -212,17 +210,6 @@ class Canvas:
         """Lays reflectance (`[3]` or `[h, w, 3]`) over the patch."""
         region = self.reflectance[patch.rows, patch.columns]
         region += (patch.coverage * strength)[..., None] * (colour - region)
-
-    def paint_rectangle(
-        self,
-        place: Place,
-        size_m: Place,
-        angle_rad: float,
-        colour: Array,
-        strength: float | Array = 1.0,
-    ) -> None:
-        """Lays reflectance over a rectangle about a place."""
-        self.paint(self.rectangle(place, size_m, angle_rad), colour, strength)
 
     def shade(self, patch: Patch, factor: float | Array) -> None:
         """Multiplies the reflectance under the patch (stains, wear, wet)."""

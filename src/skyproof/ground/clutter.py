@@ -96,7 +96,7 @@ def add_shed(canvas: Canvas, place: Place, angle_rad: float) -> None:
         for u_m in (-size_m[0] / 4, size_m[0] / 4):
             window = beside(place, angle_rad, u_m, 0.0)
             glass = reflectance((52, 58, 66))
-            canvas.paint_rectangle(window, (0.6, size_m[1] * 0.7), angle_rad, glass)
+            canvas.paint(canvas.rectangle(window, (0.6, size_m[1] * 0.7), angle_rad), glass)
 
 
 def add_painted_box(canvas: Canvas, place: Place, angle_rad: float) -> None:
@@ -111,14 +111,14 @@ def add_painted_box(canvas: Canvas, place: Place, angle_rad: float) -> None:
         for u_m in (-0.3 * size_m[0], 0.2 * size_m[0]):
             pane = beside(place, angle_rad, u_m, 0.0)
             glass = reflectance((50, 52, 56))
-            canvas.paint_rectangle(pane, (0.6, size_m[1] * 0.8), angle_rad, glass, 0.8)
+            canvas.paint(canvas.rectangle(pane, (0.6, size_m[1] * 0.8), angle_rad), glass, 0.8)
 
 
 def add_pool(canvas: Canvas, place: Place, angle_rad: float) -> None:
     """Adds a garden pool with its pale surround."""
     size_m = (canvas.rng.uniform(3.5, 9), canvas.rng.uniform(2.5, 4.5))
     around_m = (size_m[0] + 1.6, size_m[1] + 1.6)
-    canvas.paint_rectangle(place, around_m, angle_rad, canvas.pick(_SURROUNDS))
+    canvas.paint(canvas.rectangle(place, around_m, angle_rad), canvas.pick(_SURROUNDS))
     water = canvas.rectangle(place, size_m, angle_rad, canvas.rng.uniform(0, 1.2))
     if not water.empty:
         canvas.paint(water, canvas.varied(water, canvas.pick(_WATERS), grain=0.05, mottle=0.08))

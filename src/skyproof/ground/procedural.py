@@ -1,5 +1,7 @@
 """Procedural aerial pictures of ground without vehicles, and background sets of them."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -8,16 +10,23 @@ from pathlib import Path
 import numpy as np
 import torch
 from jaxtyping import UInt8
+from scipy import ndimage
 from torch import Tensor
 
 from skyproof.errors import ConfigurationError
-from skyproof.ground.built_up import draw_car_park, draw_crossroads, draw_street, draw_yard
-from skyproof.ground.canvas import Canvas
-from skyproof.ground.open_country import draw_fields, draw_park, draw_village
-from skyproof.ground.photograph import GroundSensor, photograph
+from skyproof.ground.canvas import Array, Canvas
+from skyproof.ground.kinds import (
+    draw_car_park,
+    draw_crossroads,
+    draw_fields,
+    draw_park,
+    draw_street,
+    draw_village,
+    draw_yard,
+)
 from skyproof.scenes.background_index import BackgroundTile, save_map, save_tile, write_index
 from skyproof.scenes.backgrounds import BackgroundSet
-from skyproof.scenes.light import Light
+from skyproof.scenes.light import Light, SunEstimate, rounded_levels
 from skyproof.scenes.sensor import Sensor
 from skyproof.scenes.splits import SPLITS
 
@@ -31,6 +40,122 @@ GROUND_KINDS: dict[str, tuple[Callable[[Canvas], None], float]] = {
     "yard": (draw_yard, 0.15),
 }
 """The kinds of ground and their shares, larger for kinds with vehicles or things like them."""
+_SUN_COLOUR = np.asarray([1.03, 1.0, 0.95], np.float32)
+_SHOULDER = 0.6
+
+
+@dataclass(frozen=True)
+class GroundSensor:
+    """How the lit ground becomes a picture.
+
+    Every tile draws its own sensor, so that a detector cannot rely on one look. The ranges include
+    orthophotos from a hazy German town to the red soil of Uganda: tiles have a mean lightness from
+    35 to 70 (CIELAB) and a chroma from 2 to 20.
+    """
+
+    exposure: float
+    haze: float
+    tint: tuple[float, float, float]
+    saturation: float
+    blur_px: float
+    noise: float
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator) -> GroundSensor:
+        """Draws a sensor."""
+        # White balances differ mostly from yellow to blue.
+        warmth = rng.normal(0.0, 0.05)
+        red, green, blue = (rng.normal(1.0, 0.02, 3) * (1 + warmth, 1.0, 1 - warmth)).tolist()
+        return cls(
+            exposure=math.exp(rng.uniform(math.log(0.7), math.log(1.9))),
+            haze=0.002 + 0.03 * rng.uniform() ** 2,
+            tint=(red, green, blue),
+            saturation=rng.uniform(0.8, 1.1),
+            blur_px=rng.uniform(0.5, 0.85),
+            noise=rng.uniform(0.004, 0.012),
+        )
+
+
+def photograph(
+    canvas: Canvas, sensor: GroundSensor
+) -> tuple[UInt8[np.ndarray, "3 H W"], Light, UInt8[np.ndarray, "H W"]]:
+    """Lights the canvas and takes its picture; returns it, its light and its map of shadows."""
+    rng = canvas.rng
+    overcast = float(rng.choice([rng.uniform(0.0, 0.15), rng.uniform(0.3, 0.7)], p=[0.75, 0.25]))
+    sun = np.float32(1.15 * (1 - overcast))
+    sky_strength = rng.uniform(0.12, 0.25) + 0.75 * overcast
+    sky = np.full(3, sky_strength, np.float32)
+    if overcast < 0.2:
+        sky = np.asarray([0.88, 1.0, 1.22], np.float32) * np.float32(sky_strength)
+    around = ndimage.uniform_filter(canvas.height, max(3, round(3.0 / canvas.gsd_m)))
+    openness = 1 - 0.45 * np.clip((around - canvas.height) / 3.0, 0, 1)
+    direct, lit = sunlight(canvas)
+    light = sun * direct[..., None] * _SUN_COLOUR + sky * openness[..., None]
+    # Blur and saturation come before the cut and the tone curve: optics act on light, and
+    # there is no border to pad.
+    picture = np.clip(canvas.reflectance, 0.004, 0.95) * light * np.float32(sensor.exposure)
+    for channel in range(3):
+        ndimage.gaussian_filter(picture[..., channel], sensor.blur_px, output=picture[..., channel])
+    picture = picture[canvas.picture]
+    grey = picture.mean(2, keepdims=True)
+    picture = grey + sensor.saturation * (picture - grey)
+    picture = picture * np.asarray(sensor.tint, np.float32) + sensor.haze
+    # A soft shoulder instead of hard clipping, as camera tone curves have.
+    picture = np.clip(picture, 0, None)
+    bent = _SHOULDER + (1 - _SHOULDER) * np.tanh((picture - _SHOULDER) / (1 - _SHOULDER))
+    encoded = np.where(picture < _SHOULDER, picture, bent) ** np.float32(1 / 2.2)
+    encoded += np.float32(sensor.noise) * rng.standard_normal(encoded.shape, np.float32)
+    image = (np.clip(encoded, 0, 1) * 255 + 0.5).astype(np.uint8)
+    shade = np.round((1 - lit[canvas.picture]) * 255).astype(np.uint8)
+    level = sun * math.sin(canvas.sun_elevation_rad) * _SUN_COLOUR
+    image = np.ascontiguousarray(image.transpose(2, 0, 1))
+    return image, _light(canvas, level, sky, sensor), shade
+
+
+def sunlight(canvas: Canvas) -> tuple[Array, Array]:
+    """Returns the share of the direct sun on each pixel, and the share that shadows leave."""
+    # Shadows, by walking towards the sun: the height a ray to the sun has to pass.
+    tangent = math.tan(canvas.sun_elevation_rad)
+    step_x = math.cos(canvas.sun_azimuth_rad)
+    step_y = -math.sin(canvas.sun_azimuth_rad)
+    height, n = canvas.height, canvas.pixels
+    horizon = np.full_like(height, -1e3)
+    distance_px = 1.0
+    furthest_px = min(float(height.max()) / tangent / canvas.gsd_m + 1, n - 1)
+    while distance_px <= furthest_px:
+        dx = round(distance_px * step_x)
+        dy = round(distance_px * step_y)
+        here = (slice(max(0, -dy), n - max(0, dy)), slice(max(0, -dx), n - max(0, dx)))
+        there = (slice(max(0, dy), n - max(0, -dy)), slice(max(0, dx), n - max(0, -dx)))
+        drop = np.float32(distance_px * canvas.gsd_m * tangent)
+        np.maximum(horizon[here], height[there] - drop, out=horizon[here])
+        distance_px += 1.0 if distance_px < 40 else 2.0
+    lit = np.clip(1.0 - (horizon - height) / 0.25, 0, 1)
+    lit = ndimage.gaussian_filter(lit.astype(np.float32), 0.7)
+
+    # Slopes that face the sun are brighter.
+    gradient_y, gradient_x = np.gradient(ndimage.gaussian_filter(height, 0.6), canvas.gsd_m)
+    # A wall is no slope: beyond 60 degrees the roof above and the ground below are level.
+    level = np.hypot(gradient_x, gradient_y) > 1.8
+    gradient_x[level], gradient_y[level] = 0, 0
+    towards_sun = gradient_x * step_x + gradient_y * step_y
+    cosine = math.sin(canvas.sun_elevation_rad) - math.cos(canvas.sun_elevation_rad) * towards_sun
+    cosine = cosine / np.sqrt(1 + gradient_x**2 + gradient_y**2)
+    return (lit * np.clip(cosine, 0, None)).astype(np.float32), lit
+
+
+def _light(canvas: Canvas, sun: Array, sky: Array, sensor: GroundSensor) -> Light:
+    """Returns the light for vehicles; `sun` and `sky` are those on level, open ground."""
+    shown = (sun + sky) * sensor.exposure * np.asarray(sensor.tint)
+    return Light(
+        white=rounded_levels(shown + sensor.haze),
+        black=(round(sensor.haze, 4),) * 3,
+        shoulder=_SHOULDER,
+        sky=rounded_levels(sky / (sun + sky)),
+        sun=SunEstimate(
+            round(canvas.sun_azimuth_rad, 4), round(canvas.sun_elevation_rad, 4), known_from="drawn"
+        ),
+    )
 
 
 @dataclass(frozen=True)
@@ -60,14 +185,14 @@ def draw_ground(size_px: int, gsd_m: float, *, generator: torch.Generator) -> Dr
     GROUND_KINDS[kind][0](canvas)
     canvas.mute(rng.uniform(0.35, 1.0))
     camera = GroundSensor.draw(rng)
-    picture = photograph(canvas, camera)
+    image, light, shade = photograph(canvas, camera)
     return DrawnGround(
-        torch.from_numpy(picture.image),
+        torch.from_numpy(image),
         kind,
-        picture.light,
+        light,
         Sensor(round(camera.blur_px, 3), round(camera.noise, 5)),
         canvas.drivable(),
-        picture.shade,
+        shade,
         canvas.cover(camera.blur_px),
     )
 
@@ -99,10 +224,9 @@ def write_procedural_backgrounds(
     tiles = []
     for split in SPLITS:
         for number in range(counts.get(split, 0)):
-            state = np.random.SeedSequence(
-                [seed % 2**64, SPLITS.index(split), number]
-            ).generate_state(1, np.uint64)
-            generator = torch.Generator().manual_seed(int(state[0] >> np.uint64(1)))
+            sequence = np.random.SeedSequence([seed % 2**64, SPLITS.index(split), number])
+            (state,) = sequence.generate_state(1, np.uint64).tolist()
+            generator = torch.Generator().manual_seed(state >> 1)
             ground = draw_ground(size_px, gsd_m, generator=generator)
             tile_id = f"{split}-{number:05d}"
             tile = BackgroundTile(
