@@ -60,7 +60,7 @@ def test_tiny_by_hand():
     # Its texture is finished: there is nothing to round.
     sequential = tiny.attacks["C-Fc-seq@0.4-0"]
     assert sequential.texture == "T-Fc-0"
-    assert sequential.kept == ("C-Fc-seq@0.4_step1-0",)
+    assert sequential.folders[1:] == ("C-Fc-seq@0.4-0/snapshots/C-Fc-seq@0.4_step1-0",)
     # Random controls are scored by themselves: they wait for no attack.
     assert tiny.batches["000"] == tiny.controls
     assert list(tiny.batches) == ["000", "001"]
@@ -210,7 +210,7 @@ def test_weather_is_learnt_in_and_judged_apart():
     assert learnt.conditions == tuple(CONDITIONS)
     assert clear.conditions == own.attacks["T-Fc-0"].conditions == ("clear",)
     assert (learnt.settings, learnt.detectors) == (clear.settings, clear.detectors)
-    assert own.attacks["T-U_weather-0"].kept == ()
+    assert own.attacks["T-U_weather-0"].folders == ("T-U_weather-0",)
     assert own.weather_batches == {
         "000": ("R-U-0", "R-U-1", "R-U-2"),
         "001": ("T-U-0", "T-U_weather-0", "T-U-1", "T-U_weather-1"),
@@ -246,7 +246,7 @@ def test_textures_with_more_repeats_than_the_rest():
         *("T-U-2", "T-U-3"),
     ]
     assert wide.attacks["T-U-3"].settings.seed == 3
-    assert wide.attacks["T-U-3"].kept == ()
+    assert wide.attacks["T-U-3"].folders == ("T-U-3",)
     assert [name for name in wide.attacks if name.startswith("T-Fc")] == ["T-Fc-0", "T-Fc-1"]
     # All textures are looked at, learnt and drawn.
     drawn = ("R-U-0", "R-U-1", "R-Fc-0", "R-Fc-1")

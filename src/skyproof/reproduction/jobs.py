@@ -29,7 +29,6 @@ class AttackJob:
         settings: settings of the attack.
         detectors: names of the detectors that are attacked together.
         texture: name of the finished texture under the shape of a sequential attack.
-        kept: names of the copies in `snapshots/`.
         best_of: number of draws of a best-of-N control.
         conditions: weather and light of its scenes.
     """
@@ -38,14 +37,18 @@ class AttackJob:
     settings: AttackSettings
     detectors: tuple[str, ...]
     texture: str | None = None
-    kept: tuple[str, ...] = ()
     best_of: int = BEST_OF
     conditions: tuple[str, ...] = ("clear",)
 
     @property
     def folders(self) -> tuple[str, ...]:
         """The folders to score, relative to `camouflages/`: its own and its kept copies."""
-        return (str(self.name), *(f"{self.name}/snapshots/{name}" for name in self.kept))
+        name = self.name
+        copies = [f"step{step}" for step in self.settings.keep_at]
+        learns_colours = name.constraints is not None and name.constraints.colours != "free"
+        if copies and learns_colours and self.texture is None:
+            copies.append("relaxed")
+        return (str(name), *(f"{name}/snapshots/{name.with_variant(copy)}" for copy in copies))
 
 
 class Jobs:
@@ -141,20 +144,11 @@ class Jobs:
         measured = name.magnitude in (None, preset.ladder_magnitude)
         climbs = repeat == 0 and not name.variant and measured
         rungs = tuple(step for step in preset.ladder_steps if step < steps) if climbs else ()
-        kept = [f"step{step}" for step in rungs]
-        texture = None
-        if name.order == "seq":
-            texture = str(CamouflageName("texture", name.constraints).with_repeat(repeat))
-        elif rungs and name.constraints is not None and name.constraints.colours != "free":
-            kept.append("relaxed")
         seed = next_seed(preset.seed, repeat)
-        return replace(
-            kind,
-            name=name,
-            settings=replace(kind.settings, steps=steps, seed=seed, keep_at=rungs),
-            texture=texture,
-            kept=tuple(str(name.with_variant(copy)) for copy in kept),
-        )
+        settings = replace(kind.settings, steps=steps, seed=seed, keep_at=rungs)
+        under = CamouflageName("texture", name.constraints).with_repeat(repeat)
+        texture = str(under) if name.order == "seq" else None
+        return replace(kind, name=name, settings=settings, texture=texture)
 
     def _chosen(self) -> Iterator[AttackJob]:
         """The controls of every attack, with as many steps as the longest attack."""

@@ -220,7 +220,7 @@ def _training_steps(
         # Every repeat on every training has a seed of its own.
         seed = next_seed(job.settings.seed, number * repeats)
         settings = replace(job.settings, seed=seed, keep_at=())
-        steps.append(make.attack(replace(job, settings=settings, kept=())))
+        steps.append(make.attack(replace(job, settings=settings)))
     out = layout.training(number)
     for name, folders in jobs.repeated_batches.items():
         steps.append(make.score(name, folders, make.detectors, out))
