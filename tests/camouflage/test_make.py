@@ -3,10 +3,9 @@
 import pytest
 import torch
 
-from skyproof.camouflage.combination import Combination
 from skyproof.camouflage.displacement import DisplacementMap
 from skyproof.camouflage.folder import load_camouflage, save_camouflage
-from skyproof.camouflage.make import make_camouflage
+from skyproof.camouflage.make import Combination, make_camouflage
 from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.settings import CamouflageSettings
 from skyproof.camouflage.texture import UniversalTexture

@@ -234,9 +234,9 @@ def test_controls_are_chosen_on_the_attacks_scenes(tmp_path: Path, attack) -> No
 
 @pytest.mark.usefixtures("every_candidate")
 def test_shapes_have_their_controls_too(tmp_path: Path, attack) -> None:
-    from skyproof.camouflage.combination import Combination
     from skyproof.camouflage.displacement import DisplacementMap
     from skyproof.camouflage.folder import load_camouflage
+    from skyproof.camouflage.make import Combination
 
     made = tmp_path / "camouflages"
     answer = attack(["R-S-O@0.4_plain", "R-C-Ma@0.4_plain", "R-Ma-0", "T-Ma"])

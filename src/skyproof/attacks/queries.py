@@ -24,9 +24,9 @@ from skyproof.attacks.objective import target_scores
 from skyproof.attacks.settings import QuerySettings
 from skyproof.attacks.world import World
 from skyproof.camouflage.camouflage import Camouflage
-from skyproof.camouflage.combination import Combination
 from skyproof.camouflage.displacement import DisplacementMap
 from skyproof.camouflage.folder import load_camouflage, read_record, save_camouflage
+from skyproof.camouflage.make import Combination
 from skyproof.camouflage.texture import UniversalTexture
 from skyproof.detectors.detector import Detector
 from skyproof.documents import check_document

@@ -10,8 +10,8 @@ from PIL import Image
 from torch import Tensor
 
 from skyproof.camouflage.camouflage import Camouflage
-from skyproof.camouflage.combination import Combination
 from skyproof.camouflage.displacement import DisplacementMap
+from skyproof.camouflage.make import Combination
 from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.settings import Blocks, Colours
 from skyproof.camouflage.texture import UniversalTexture

@@ -13,8 +13,8 @@ from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 from skyproof.camouflage.camouflage import Camouflage
-from skyproof.camouflage.combination import Combination
 from skyproof.camouflage.displacement import DisplacementMap
+from skyproof.camouflage.make import Combination
 from skyproof.camouflage.name import TextureConstraints
 from skyproof.camouflage.texture import UniversalTexture
 from skyproof.geometry.meshes import enclosed_volume_m3, self_intersections

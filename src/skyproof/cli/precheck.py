@@ -79,8 +79,7 @@ class Precheck:
         from skyproof.detectors.card import read_card
         from skyproof.device import choose_device
         from skyproof.measure.frames import read_frames
-        from skyproof.measure.precheck import PrecheckScenes
-        from skyproof.measure.precheck_words import lines
+        from skyproof.measure.precheck import PrecheckScenes, precheck_lines
         from skyproof.scenes.backgrounds import BackgroundSet
         from skyproof.vehicles.fleet import Fleet
 
@@ -92,7 +91,7 @@ class Precheck:
         data = PrecheckScenes(backgrounds, fleet, scenes, self.draws, frames, self.seed)
         records = self._checked(data, device, loaded)
         for folder in self.detectors:
-            for line in lines(records[folder], read_card(folder).doubts):
+            for line in precheck_lines(records[folder], read_card(folder).doubts):
                 say(line)
 
     def _scenes(self, backgrounds: BackgroundSet, fleet: Fleet) -> list[Scene]:

@@ -4,6 +4,7 @@ import hashlib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from textwrap import wrap
 from typing import Any
 
 import msgspec
@@ -24,15 +25,28 @@ from skyproof.measure.measure import compare
 from skyproof.measure.views import SceneChange, SceneRenderer, SceneView, counter, views
 from skyproof.randomness import generator_of
 from skyproof.render.renderer import TorchRenderer
+from skyproof.results.baseline import Baseline
 from skyproof.results.pairs.counts import count_cells
-from skyproof.results.precheck import Kind, MeasuredOn, PrecheckRecord, Rate
+from skyproof.results.precheck import (
+    LARGEST_EASR,
+    Finding,
+    Kind,
+    MeasuredOn,
+    PrecheckRecord,
+    Rate,
+    findings,
+    misfit_thresholds,
+    rate_words,
+    verdict,
+)
 from skyproof.results.result import MAIN_MATCH
 from skyproof.results.statistics.contrasts import Group, mean_interval
-from skyproof.results.statistics.intervals import Sample
+from skyproof.results.statistics.intervals import Interval, Sample
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.scene import Scene, scenes_digest
 from skyproof.seeds import numpy_generator
 from skyproof.vehicles.fleet import Fleet
+from skyproof.words import detector_name, interval, percent
 
 BLURS_PX = (0.4, 0.7, 1.0, 1.4)
 """From the sharpest to the softest aerial photographs that we know, in pixels (sigma)."""
@@ -40,6 +54,13 @@ BLURS_PX = (0.4, 0.7, 1.0, 1.4)
 CONTROLS = ("R-U", "R-Pix", "R-Fc", "R-PixFc", "R-Lc", "R-S-O@0.4")
 
 SUN_ELEVATIONS_DEG = (10.0, 25.0, 45.0, 65.0)
+
+_FEW = 6
+"""Up to this number all changes are printed, above it only the worst."""
+
+_WORST = 3
+_WIDTH = 110
+_INDENT = 48
 
 
 @dataclass(frozen=True)
@@ -192,3 +213,48 @@ def _rates(
 
 def _digest(*values: Any) -> str:
     return hashlib.sha256(msgspec.json.encode(values)).hexdigest()
+
+
+def precheck_lines(record: PrecheckRecord, doubts: Sequence[str] = ()) -> list[str]:
+    """Tells in a few lines what was measured, the findings, and the doubts of the card."""
+    found = findings(record)
+    told = [
+        f"{detector_name(record.detector)}: {verdict(found).upper()} "
+        f"({record.measured_on.scenes} scenes, threshold {record.threshold:.3f})"
+    ]
+    for check, finding in zip(record.sets, found, strict=False):
+        told += _told(check.dataset, finding, _set(check))
+    for finding in found[len(record.sets) :]:
+        told += _told(finding.criterion, finding, _changes(finding))
+    return told + [
+        line
+        for sentence in (*doubts, *misfit_thresholds(record.sets))
+        for line in wrap(f"  {sentence}", _WIDTH, subsequent_indent="  ")
+    ]
+
+
+def _told(title: str, finding: Finding, words: str) -> list[str]:
+    head = f"  {title:<34}{finding.outcome:<12}"
+    return wrap(head + words, _WIDTH, subsequent_indent=" " * _INDENT)
+
+
+def _set(check: Baseline) -> str:
+    best = check.best
+    other = "" if best is None else f"; largest F1 at {best.threshold:.3f}"
+    return (
+        f"AP {_sure(check.ap_centre_1m)}, precision {_sure(check.precision)}, recall "
+        f"{_sure(check.recall)}; {check.vehicles} vehicles, {check.clusters} "
+        f"{check.clustered_by}{other}"
+    )
+
+
+def _changes(finding: Finding) -> str:
+    rates = finding.rates
+    beyond = [rate for rate in rates if rate.easr.estimate > LARGEST_EASR]
+    shown = rates if len(rates) <= _FEW else (beyond or rates[:1])[:_WORST]
+    words = ", ".join(f"{rate_words(rate)} {_sure(rate.easr)}" for rate in shown)
+    return f"{len(beyond)} of {len(rates)} hide more than {percent(LARGEST_EASR)}: {words}"
+
+
+def _sure(value: Interval) -> str:
+    return f"{percent(value.estimate)} ({interval(value.low, value.high)})"

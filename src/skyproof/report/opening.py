@@ -7,8 +7,7 @@ from typing import Literal
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.report.acceptance import Acceptance, Ruling
-from skyproof.report.baseline import BaselineRow
-from skyproof.report.precheck import PrecheckPart
+from skyproof.report.baseline import BaselineRow, PrecheckPart
 from skyproof.results.result import MEAN, Result
 from skyproof.results.statistics.intervals import Interval
 from skyproof.words import detector_name, interval, listed, percent

@@ -19,7 +19,7 @@ from skyproof.layout import Layout
 from skyproof.report.acceptance import read_requirement, rule, write_verdict
 from skyproof.report.advice import advice, hardening, limits, readings
 from skyproof.report.answer import answer, compare_renderers, survival, worst_case
-from skyproof.report.baseline import baseline_sets, real_data
+from skyproof.report.baseline import baseline_sets, precheck_part, real_data
 from skyproof.report.figures import (
     condition_figure,
     embedded,
@@ -28,7 +28,6 @@ from skyproof.report.figures import (
     loss_figure,
 )
 from skyproof.report.opening import opening, strongest_of
-from skyproof.report.precheck import precheck_part
 from skyproof.report.queries import query_part
 from skyproof.results.conditions import Panel, condition_panels
 from skyproof.results.precheck import rate_outcome, rate_words

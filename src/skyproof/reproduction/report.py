@@ -9,7 +9,7 @@ from markupsafe import Markup
 from skyproof.console import say
 from skyproof.errors import RunFolderError
 from skyproof.files import alone, write_bytes
-from skyproof.report.precheck import precheck_part
+from skyproof.report.baseline import precheck_part
 from skyproof.report.report import Section, write_report
 from skyproof.reproduction.agreement import agreement_part
 from skyproof.reproduction.cells import (
