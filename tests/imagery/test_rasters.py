@@ -71,25 +71,88 @@ def test_a_vrt_of_files_elsewhere_is_refused(folder, reference):
         open_raster(folder / "mosaic.vrt")
 
 
-def test_a_file_named_by_an_attribute_or_in_capitals_is_found(folder):
+SOURCE = '<SourceFilename relativeToVRT="1">a.tif</SourceFilename>'
+WARPED = (
+    "<BlockXSize>64</BlockXSize><GDALWarpOptions>"
+    '<SourceDataset relativeToVRT="0">{}</SourceDataset>'
+    "<Transformer><GenImgProjTransformer><GeoLocTransformer/></GenImgProjTransformer></Transformer>"
+    "</GDALWarpOptions>"
+)
+PROCESSED = (
+    "<Input>{}</Input><ProcessingSteps><Step><Algorithm>LocalScaleOffset</Algorithm>"
+    '<Argument name="gain_dataset_filename_1">{}</Argument></Step></ProcessingSteps>'
+)
+
+
+def test_names_in_capitals_are_read_as_gdal_reads_them(folder):
     plain = write_vrt(folder / "a.vrt", "a.tif").read_text()
-    element = '<SourceFilename relativeToVRT="1">a.tif</SourceFilename>'
-    assert element in plain
-    for other in (
-        '<SOURCEFILENAME relativeToVRT="1">../secret.tif</SOURCEFILENAME>',
-        f'<ComplexSource sourcefilename="{folder.parent / "secret.tif"}"/>',
-    ):
-        (folder / "b.vrt").write_text(plain.replace(element, other))
-        with pytest.raises(ImageryError, match="outside its folder"):
-            open_raster(folder / "b.vrt")
+    assert SOURCE in plain
+    other = '<SOURCEFILENAME relativetoVRT="1">../secret.tif</SOURCEFILENAME>'
+    (folder / "b.vrt").write_text(plain.replace(SOURCE, other))
+    with pytest.raises(ImageryError, match="outside its folder"):
+        open_raster(folder / "b.vrt")
+
+
+@pytest.mark.parametrize(
+    ("plain", "other", "named"),
+    [
+        (SOURCE, '<ComplexSource sourcefilename="{}"/>', "sourcefilename"),
+        (SOURCE, "<SourceFilename>a.tif<relativeToVRT>1</relativeToVRT></SourceFilename>", "relat"),
+        (SOURCE, SOURCE + '<OpenOptions><OOI key="X">{}</OOI></OpenOptions>', "openoptions"),
+        ("<SRS>", "<GDALWarpOptions/><SRS>", "gdalwarpoptions"),
+        ("<SRS>", WARPED + "<SRS>", "blockxsize"),
+        ("<SRS>", PROCESSED + "<SRS>", "input"),
+        ("<SRS>", "<Overview><SourceFilename>{}</SourceFilename></Overview><SRS>", "overview"),
+        ("<SRS>", '<Metadata domain="GEOLOCATION"/><SRS>', "GEOLOCATION"),
+        ("<SRS>", '<Metadata domain="xml:x" format="xml"/><SRS>', "format"),
+        ("<VRTDataset", '<VRTDataset subClass="VRTWarpedDataset"', "subclass"),
+        ("<VRTDataset", '<VRTDataset SUBCLASS="VRTProcessedDataset"', "subclass"),
+        ("<VRTDataset", '<VRTDataset subClass="VRTPansharpenedDataset"', "subclass"),
+        ("<VRTDataset", '<VRTDataset xmlns="urn:x"', "vrtdataset"),
+    ],
+)
+def test_all_that_no_mosaic_needs_is_refused(folder, monkeypatch, plain, other, named):
+    monkeypatch.chdir(folder)
+    text = write_vrt(folder / "a.vrt", "a.tif").read_text()
+    secret = str(folder.parent / "secret.tif")
+    (folder / "b.vrt").write_text(text.replace(plain, other.replace("{}", secret), 1))
+    with pytest.raises(ImageryError, match=rf"(?i)holds '.*{named}.*only plain mosaics are read"):
+        open_raster(folder / "b.vrt")
+
+
+def test_what_gdalbuildvrt_writes_is_read(folder):
+    """As version 3.12 writes it for a tiled GeoTIFF with a nodata value."""
+    (folder / "m.vrt").write_text(
+        """<VRTDataset rasterXSize="64" rasterYSize="64">
+          <SRS dataAxisToSRSAxisMapping="2,1">EPSG:2193</SRS>
+          <GeoTransform>1.57e6, 0.125, 0, 5.18e6, 0, -0.125</GeoTransform>
+          <Metadata domain="IMAGE_STRUCTURE"><MDI key="INTERLEAVE">PIXEL</MDI></Metadata>
+          <VRTRasterBand dataType="Byte" band="1" blockXSize="64" blockYSize="64">
+            <NoDataValue>0</NoDataValue>
+            <ColorInterp>Red</ColorInterp>
+            <ComplexSource resampling="nearest">
+              <SourceFilename relativeToVRT="1" shared="0">a.tif</SourceFilename>
+              <SourceBand>1</SourceBand>
+              <SourceProperties RasterXSize="64" RasterYSize="64" DataType="Byte" BlockXSize="64"
+                BlockYSize="1"/>
+              <SrcRect xOff="0" yOff="0" xSize="64" ySize="64"/>
+              <DstRect xOff="0" yOff="0" xSize="64" ySize="64"/>
+              <NODATA>0</NODATA>
+            </ComplexSource>
+          </VRTRasterBand>
+        </VRTDataset>"""
+    )
+    with open_raster(folder / "m.vrt") as vrt, open_raster(folder / "a.tif") as own:
+        assert np.array_equal(vrt.read(1), own.read(1))
 
 
 def test_code_in_a_vrt_is_refused_and_does_not_run(folder):
     band = ' subClass="VRTDerivedRasterBand"'
     code = f"<PixelFunctionCode>open('{folder / 'ran'}', 'w')</PixelFunctionCode>"
-    write_vrt(folder / "a.vrt", "a.tif", band=band, source=code)
-    with pytest.raises(ImageryError, match="holds code"):
-        open_raster(folder / "a.vrt")
+    for given in ({"band": band, "source": code}, {"source": code}):
+        write_vrt(folder / "a.vrt", "a.tif", **given)
+        with pytest.raises(ImageryError, match="only plain mosaics are read"):
+            open_raster(folder / "a.vrt")
     assert not (folder / "ran").exists()
 
 

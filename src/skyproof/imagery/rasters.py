@@ -1,5 +1,10 @@
-"""Opens rasters with GDAL: known formats, stated limits, nothing from elsewhere."""
+"""Opens rasters with GDAL: known formats, stated limits, nothing from elsewhere.
 
+A VRT can name files and addresses, and hold code. Only mosaics of images in its own folder are
+read.
+"""
+
+import re
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
@@ -30,9 +35,26 @@ _BEGINNINGS = {
 
 _LARGEST_VRT_BYTES = 64 * 2**20
 _DEEPEST_VRT = 4
-# Elements or attributes that name a file, or that hold code; GDAL ignores their case.
-_REFERENCES = {"sourcefilename", "sourcedataset"}
-_CODE = {"pixelfunctioncode", "pixelfunctionlanguage"}
+_ELEMENTS = re.compile(
+    "averagedsource|category|categorynames|colorinterp|colortable|complexsource|description|"
+    "dstrect|entry|gcp|gcplist|geotransform|hidenodatavalue|maskband|mdi|metadata|nodata|"
+    "nodatavalue|offset|scale|simplesource|sourceband|sourcefilename|sourceproperties|srcrect|srs|"
+    "unittype|vrtdataset|vrtrasterband",
+    re.IGNORECASE,
+)
+"""What a plain mosaic consists of.
+
+Everything else could name files or addresses, or hold code, as warped, processed and derived kinds
+do.
+"""
+_ATTRIBUTES = re.compile(
+    "band|blockxsize|blockysize|c[1-4]|coordinateepoch|dataaxistosrsaxismapping|datatype|domain|"
+    "id|info|key|line|pixel|projection|rasterxsize|rasterysize|relativetovrt|resampling|shared|"
+    "[xy](off|size)|[xyz]",
+    re.IGNORECASE,
+)
+_DOMAINS = ("", "IMAGE_STRUCTURE", "RPC")
+"""Metadata of other domains, such as GEOLOCATION, could name files."""
 
 
 def open_raster(path: Path) -> DatasetReader:
@@ -87,18 +109,21 @@ def _limited(dataset: DatasetReader, path: Path) -> DatasetReader:
 
 
 def _check_vrt(path: Path, folder: Path, *, depth: int) -> None:
-    """Refuses a VRT that holds code, or names anything but images inside a folder."""
+    """Refuses all but a mosaic of images inside a folder."""
     for element in _elements(path):
-        texts = {element.tag: element.text or "", **element.attrib}
-        named = {name.rpartition("}")[2].lower(): text.strip() for name, text in texts.items()}
-        if _CODE & named.keys():
+        attributes = {name.lower(): value.strip() for name, value in element.attrib.items()}
+        strange = [] if _ELEMENTS.fullmatch(element.tag) else [element.tag]
+        strange += [name for name in element.attrib if not _ATTRIBUTES.fullmatch(name)]
+        if attributes.get("domain", "") not in _DOMAINS:
+            strange.append(attributes["domain"])
+        if strange:
             raise ImageryError(
-                f"{path} holds code that computes its pixels, which is not run; convert it to "
-                "GeoTIFF (gdal_translate)."
+                f"{path} holds {strange[0][:200]!r}, and only plain mosaics are read; convert it "
+                "to GeoTIFF (gdal_translate)."
             )
-        relative = element.get("relativeToVRT", "0").strip()
-        for name in sorted(_REFERENCES & named.keys()):
-            reference = named[name]
+        if element.tag.lower() == "sourcefilename":
+            reference = (element.text or "").strip()
+            relative = attributes.get("relativetovrt", "0")
             # GDAL starts from the folder of the VRT if it says so, else from the working folder.
             base = path.resolve().parent if relative == "1" else Path.cwd()
             source = (base / reference).resolve()
