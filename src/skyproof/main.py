@@ -68,12 +68,20 @@ _REMEDIES = {
 Commands = Mapping[str, Mapping[str, str]]
 """By group and name, the module and class of a command."""
 
+_NO_NETWORK = {
+    "CPL_VSIL_CURL_ALLOWED_FILENAME": "none",
+    "GDAL_HTTP_PROXY": "127.0.0.1:1",
+    "PROJ_NETWORK": "OFF",
+}
+"""Closes the ways of GDAL and PROJ to the network, should a file find one past our checks."""
+
 
 def main(commands: Commands = COMMANDS) -> None:
     """Runs the command that the program's arguments name."""
     # Many small operations stall when idle threads spin; this must be said before torch is
     # imported.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+    os.environ.update(_NO_NETWORK)
     _keep_freed_memory()
     sys.exit(run(commands=commands))
 

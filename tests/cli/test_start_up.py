@@ -47,3 +47,51 @@ def test_the_overview_fits_one_screen_and_names_at_most_twenty_commands():
     assert max(map(len, lines)) <= 120
     for name in names:
         assert any(line.startswith(f"  {name} ") for line in lines), name
+
+
+FETCH = """
+import socket, threading
+import pyogrio, rasterio
+from rasterio.crs import CRS
+from skyproof import main
+
+def fetch():
+    address = f"http://127.0.0.1:{server.getsockname()[1]}/a.tif"
+    ways = (
+        lambda: CRS.from_user_input(address),
+        lambda: rasterio.open(f"/vsicurl/{address}"),
+        lambda: rasterio.open(f"WMS:{address}"),
+        lambda: pyogrio.read_info(f"GeoJSON:{address}"),
+    )
+    for way in ways:
+        try:
+            way()
+        except Exception:
+            pass
+
+def answer():
+    while True:
+        connection, _ = server.accept()
+        print("asked")
+        connection.close()
+
+server = socket.create_server(("127.0.0.1", 0))
+threading.Thread(target=answer, daemon=True).start()
+main.run = lambda **_: fetch()
+if GUARDED:
+    main.main()
+else:
+    fetch()
+"""
+
+
+@pytest.mark.parametrize("guarded", [True, False])
+def test_gdal_and_proj_ask_no_network(guarded):
+    done = subprocess.run(
+        [sys.executable, "-c", FETCH.replace("GUARDED", str(guarded))],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=120,
+    )
+    assert ("asked" in done.stdout) is not guarded

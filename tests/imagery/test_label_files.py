@@ -1,6 +1,7 @@
 """Label files of every form, written by hand: what is read, and the sentence for what cannot be."""
 
 import json
+import socket
 
 import geopandas
 import numpy as np
@@ -365,6 +366,31 @@ def test_a_feature_may_ask_to_be_ignored(tmp_path):
 def test_bad_geojson(tmp_path, document, message):
     with pytest.raises(ImageryError, match=message):
         read_labels(written(tmp_path / "x.geojson", document))
+
+
+@pytest.mark.parametrize(
+    "member",
+    [
+        {"type": "link", "properties": {"href": "{}", "type": "ogcwkt"}},
+        {"type": "link", "properties": {"name": "EPSG:2193", "href": "{}"}},
+        {"type": "URL", "properties": {"url": "{}"}},
+        crs("{}"),
+        crs(" {}"),
+        crs("/vsicurl/{}"),
+        "{}",
+        7,
+    ],
+)
+def test_a_reference_system_is_not_fetched(tmp_path, member):
+    document = json.dumps(features(shape("Point", [1, 2]), crs=member))
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(0.2)
+        address = f"http://127.0.0.1:{server.getsockname()[1]}/system"
+        file = written(tmp_path / "x.geojson", document.replace("{}", address))
+        with pytest.raises(ImageryError, match="reference system"):
+            read_labels(file)
+        with pytest.raises(TimeoutError):
+            server.accept()
 
 
 def test_paths_that_hold_no_labels(tmp_path):

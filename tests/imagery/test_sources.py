@@ -330,8 +330,9 @@ def test_missing_and_namesake_images_and_bad_settings(tmp_path):
     _picture(tmp_path)
     with pytest.raises(ImageryError, match="shares its name"):
         tile([tmp_path], tmp_path / "set", source_gsd_m=0.125)
-    with pytest.raises(ConfigurationError, match="EPSG:nonsense"):
-        tile([tmp_path], tmp_path / "set", crs="EPSG:nonsense")
+    for system in ("EPSG:nonsense", "http://127.0.0.1:9/system", "/etc/hostname"):
+        with pytest.raises(ConfigurationError, match=system):
+            tile([tmp_path], tmp_path / "set", crs=system)
     for wrong in (
         {"source_gsd_m": 0.0},
         {"gsd_m": float("nan")},

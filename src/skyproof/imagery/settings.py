@@ -1,6 +1,7 @@
 """Settings for reading, cutting and labelling imagery. Imports no torch."""
 
 import math
+import re
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -16,7 +17,13 @@ from skyproof.scenes.splits import SPLITS, Split
 _ROOM_PX = 112
 """Difference between the sides of procedural tiles and of the windows cut from them."""
 
+_SYSTEM = re.compile(r"[\w.]+(:[\w.]*)*|\+proj=[^/@]*|[A-Z_0-9]+\s*\[.*", re.DOTALL)
 _TileSide = Annotated[int, Meta(ge=1, le=8192)]
+
+
+def names_a_system(text: object) -> bool:
+    """Tells a code, PROJ text or WKT from an address or a path, which GDAL would open."""
+    return isinstance(text, str) and _SYSTEM.fullmatch(text) is not None
 
 
 @dataclass(frozen=True)
@@ -82,6 +89,8 @@ class SourceSettings:
             from rasterio.errors import RasterioError
 
             try:
+                if not names_a_system(self.crs):
+                    raise ValueError
                 CRS.from_user_input(self.crs)
             except (RasterioError, ValueError) as error:
                 raise ConfigurationError(

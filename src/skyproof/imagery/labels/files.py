@@ -23,6 +23,7 @@ from skyproof.imagery.labels.image_files import (
     text_lines,
 )
 from skyproof.imagery.labels.label import GroundLabels, Label, Labels, Point
+from skyproof.imagery.settings import names_a_system
 
 _FORMS = (
     "COCO (.json), GeoJSON (.geojson or .json), GeoPackage (.gpkg), Shapefile (.shp), a folder of "
@@ -63,7 +64,7 @@ def read_labels(path: Path) -> Labels:
         raise ImageryError(f"{path} is not of a known label form; expected {_FORMS}.")
     kind: _LabelForm = read_document(path, _LabelForm, "replace the file", error=ImageryError)
     if kind.type == "FeatureCollection":
-        return _read_ground_labels(path, kind.crs)
+        return _read_ground_labels(path, _system_name(path, kind.crs))
     if kind.images is not msgspec.UNSET and kind.annotations is not msgspec.UNSET:
         return read_coco_labels(path)
     raise ImageryError(
@@ -98,7 +99,24 @@ def _read_folder(folder: Path) -> Labels:
     return read_dota_labels(place)
 
 
-def _read_ground_labels(path: Path, crs_member: Any = None) -> GroundLabels:
+def _system_name(path: Path, member: Any) -> str | None:
+    """Takes the name from a `crs` member. GDAL would fetch any other kind from its address."""
+    if member is None:
+        return None
+    match member:
+        case {"type": "name", "properties": {"name": str(name), **others}} if not others:
+            if names_a_system(name):
+                return name
+    raise _unknown_system(path)
+
+
+def _unknown_system(path: Path) -> ImageryError:
+    return ImageryError(
+        f"{path} names no reference system that is known; convert it (ogr2ogr -t_srs EPSG:4326)."
+    )
+
+
+def _read_ground_labels(path: Path, system_name: str | None = None) -> GroundLabels:
     """Reads points and outlines of a vector file with one layer.
 
     The four corners of an outline are kept; any other outline becomes the upright box around it.
@@ -129,13 +147,10 @@ def _read_ground_labels(path: Path, crs_member: Any = None) -> GroundLabels:
     if frame.empty or "geometry" not in frame:
         raise ImageryError(f"{path} holds no objects (features); give another file.")
     crs = None if frame.crs is None else frame.crs.to_string()
-    if crs == "EPSG:4326" and crs_member is not None:
-        crs = crs if re.search("4326|CRS84", str(crs_member)) else None
+    if crs == "EPSG:4326" and system_name is not None:
+        crs = crs if re.search("4326|CRS84", system_name) else None
     if crs is None:
-        raise ImageryError(
-            f"{path} names no reference system that is known; convert it (ogr2ogr -t_srs "
-            "EPSG:4326)."
-        )
+        raise _unknown_system(path)
     labels: list[Label] = []
     # Integers stay integers if some objects have none.
     properties = frame.drop(columns="geometry").convert_dtypes()

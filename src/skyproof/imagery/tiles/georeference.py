@@ -13,6 +13,7 @@ from rasterio.io import DatasetReader
 from rasterio.warp import transform as transform_places
 
 from skyproof.errors import ImageryError
+from skyproof.imagery.settings import names_a_system
 
 COARSEST_GSD_M = 0.5
 FINEST_PLAUSIBLE_M = 0.005
@@ -170,6 +171,8 @@ def is_true_to_scale(crs: CRS, place: Point) -> bool:
 def system_of(name: str, path: object) -> CRS:
     """Finds the reference system of a name."""
     try:
+        if not names_a_system(name):
+            raise CRSError("an address or a path")
         return CRS.from_user_input(name)
     except CRSError as error:
         raise ImageryError(
