@@ -7,11 +7,14 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from skyproof.errors import NotFiniteError, RunFolderError, StoredFileError
+from skyproof.documents import read_document
+from skyproof.errors import NotFiniteError, RunFolderError, SkyproofError, StoredFileError
 from skyproof.files import (
     alone,
     finished_folder,
@@ -24,6 +27,9 @@ from skyproof.files import (
     write_json,
     write_jsonl,
 )
+from skyproof.imagery.rasters import open_raster
+from skyproof.pictures import open_picture
+from skyproof.storage import read_tensors
 
 
 def write_half(path: Path, error: BaseException) -> None:
@@ -223,6 +229,40 @@ def test_a_lock_never_writes_through_a_link(tmp_path: Path) -> None:
     with pytest.raises(RunFolderError, match="run"), alone(tmp_path / "run"):
         pytest.fail("the block must not run")
     assert (tmp_path / "victim").read_text() == "precious"
+
+
+def test_a_lock_empties_no_file_of_two_names(tmp_path: Path) -> None:
+    mine = tmp_path / "mine.txt"
+    mine.write_text("kept")
+    (tmp_path / ".run.lock").hardlink_to(mine)
+    with (
+        pytest.raises(RunFolderError, match=r"\.run\.lock is a link to another file"),
+        alone(tmp_path / "run"),
+    ):
+        pass
+    assert mine.read_text() == "kept"
+
+
+def test_devices_and_pipes_are_not_read(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.tif")
+    (tmp_path / "link.tif").symlink_to("/dev/zero")
+    readers: tuple[Callable[[Path], object], ...] = (
+        lambda path: read_document(path, Any, "copy it again"),
+        lambda path: read_tensors(path, "copy it again"),
+        lambda path: open_picture(path, "copy it again"),
+        open_raster,
+    )
+    for reader in readers:
+        for name in ("pipe.tif", "link.tif"):
+            with pytest.raises(SkyproofError, match=f"{name} is a device, pipe or socket"):
+                reader(tmp_path / name)
+
+
+def test_a_document_has_a_largest_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a.json").write_text("[1, 2]")
+    monkeypatch.setattr("skyproof.documents._LARGEST_BYTES", 5)
+    with pytest.raises(StoredFileError, match=r"a\.json has 0 MiB, more than the 0 MiB"):
+        read_document(tmp_path / "a.json", Any, "split it")
 
 
 def test_new_file_overwrites_nothing(tmp_path: Path) -> None:

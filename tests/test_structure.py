@@ -12,7 +12,8 @@ SOURCE = Path(__file__).parents[1] / "src" / "skyproof"
 # neighbour.
 FLOORS = [
     {"errors", "seeds"},
-    {"ranges", "files", "words", "layout", "randomness", "pictures", "console", "device"},
+    {"ranges", "files", "words", "layout", "randomness", "console", "device"},
+    {"pictures"},
     {"documents"},
     {"geometry", "storage"},
     {"loop"},

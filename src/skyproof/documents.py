@@ -8,6 +8,7 @@ keep the whole of a large annotation file in memory, and takes long to import.
 
 from __future__ import annotations
 
+import codecs
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import is_dataclass
@@ -18,11 +19,13 @@ from typing import Any, TypeVar, Union, get_args, get_origin, is_typeddict
 import msgspec
 
 from skyproof.errors import SkyproofError, StoredFileError
+from skyproof.files import refuse_special
 from skyproof.ranges import WORDS, limits_of
 
 T = TypeVar("T")
 
 _WHOLE_LIMIT = 2**63
+_LARGEST_BYTES = 4 * 2**30
 _TYPES = {
     "`float`": "a number",
     "`int`": "a whole number",
@@ -153,8 +156,10 @@ class _Strange(Exception):
 
 
 def _content(path: Path, remedy: str, error: type[SkyproofError]) -> bytes:
+    refuse_special(path, remedy, error=error, largest_bytes=_LARGEST_BYTES)
     try:
-        return Path(path).read_bytes()
+        # Editors on Windows begin a text with a mark of its byte order.
+        return Path(path).read_bytes().removeprefix(codecs.BOM_UTF8)
     except FileNotFoundError:
         raise error(f"{path} is missing; {remedy}.") from None
     except (OSError, ValueError) as unreadable:

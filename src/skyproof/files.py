@@ -7,6 +7,7 @@ import hashlib
 import json
 import os
 import shutil
+import stat
 import sys
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -16,7 +17,7 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from skyproof.errors import NotFiniteError, RunFolderError, StoredFileError
+from skyproof.errors import NotFiniteError, RunFolderError, SkyproofError, StoredFileError
 
 _NEARLY_FULL_BYTES = 2**20
 
@@ -97,6 +98,9 @@ def alone(place: Path) -> Iterator[Hold]:
     lock = FileLock(path, blocking=False, thread_local=False, on_acquired=descriptors.append)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        # Taking the lock empties its file, which a second name would lose.
+        if os.path.lexists(path) and (path.is_symlink() or path.stat().st_nlink > 1):
+            raise RunFolderError(f"{path} is a link to another file; remove the link.")
         lock.acquire()
     except Timeout:
         raise RunFolderError(
@@ -190,6 +194,28 @@ def refuse_foreign(folder: Path, ours: Collection[str]) -> None:
     )
     if foreign:
         raise RunFolderError(f"{folder} holds something else ({foreign[0]}); choose another --out.")
+
+
+def refuse_special(
+    path: Path,
+    remedy: str,
+    *,
+    error: type[SkyproofError] = StoredFileError,
+    largest_bytes: int | None = None,
+) -> None:
+    """Keeps a reader from devices, pipes and sockets, which may never end, and from large files."""
+    try:
+        status = os.stat(path)
+    except (OSError, ValueError):
+        # Its reader says what is wrong.
+        return
+    if not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)):
+        raise error(f"{path} is a device, pipe or socket, not a file; {remedy}.")
+    if largest_bytes is not None and status.st_size > largest_bytes:
+        raise error(
+            f"{path} has {status.st_size / 2**20:,.0f} MiB, more than the "
+            f"{largest_bytes / 2**20:,.0f} MiB that are read at once; {remedy}."
+        )
 
 
 def file_digest(path: Path) -> str:

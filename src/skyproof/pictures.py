@@ -10,6 +10,7 @@ from jaxtyping import UInt8
 from PIL import Image
 
 from skyproof.errors import SkyproofError, StoredFileError
+from skyproof.files import refuse_special
 
 LARGEST_PX = 178_956_970
 """The most pixels of a picture that is decoded as a whole, some 13,377 x 13,377: Pillow's limit.
@@ -35,6 +36,7 @@ def open_picture(
     It is a PNG, JPEG, TIFF, JPEG 2000, BMP or WebP file, or of a format of Pillow in `also`.
     `remedy` is the advice of the error, such as "replace it, or leave it out".
     """
+    refuse_special(path, remedy, error=error)
     try:
         with warnings.catch_warnings():
             # Aerial pictures are large, and only Pillow's limit counts. Notes on damaged metadata

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from skyproof.documents import parse_document
 from skyproof.errors import NotFiniteError, StoredFileError
-from skyproof.files import to_json, write_bytes
+from skyproof.files import refuse_special, to_json, write_bytes
 
 
 def write_tensors(
@@ -43,6 +43,7 @@ def read_tensors(path: Path, remedy: str) -> tuple[dict[str, Tensor], dict[str, 
     The tensors are on the CPU, and the record is empty if none was written. `remedy` is the advice
     of the error, such as "make the camouflage again".
     """
+    refuse_special(path, remedy)
     if not Path(path).is_file():
         raise StoredFileError(f"{path} is missing; {remedy}.")
     try:

@@ -104,7 +104,9 @@ def test_bad_json(tmp_path, document, message):
 
 
 NAMES = {
-    "aerial.names": "car\n\nbus\n",
+    "aerial.names": "car\nbus\n\n",
+    "marked.names": "\ufeffcar\nbus\n",
+    "marked/data.yaml": "\ufeffnames: [car, bus]\n",
     "list/data.yaml": "train: images\nnames: [car, 'bus']  # two\nnc: 2\n",
     "dashes/data.yaml": 'names:\n- car\n  # a remark\n- "bus"\nnc: 2\n',
     "numbers/data.yaml": "path: .\nnames:\n  1: bus\n  0: car\nval: images\n",
@@ -127,6 +129,44 @@ def test_yolo_beside_images(tmp_path, name):
     assert [label.class_name for label in labels.images["one"]] == ["bus", "car"]
     for label in labels.images["one"]:
         assert np.asarray(label.corners) == pytest.approx(np.asarray(UPRIGHT))
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("aerial.names", "car\n\ntruck\n"),
+        ("data.yaml", "names: [car, '', truck]\n"),
+        ("data.yaml", "names:\n- car\n-\n- truck\n"),
+        ("data.yaml", "names: {0: car, 1: null, 2: truck}\n"),
+    ],
+)
+def test_an_empty_place_among_the_classes_counts(tmp_path, name, text):
+    written(tmp_path / name, text)
+    picture(tmp_path / "one.png")
+    written(tmp_path / "one.txt", "2 0.2 0.2 0.1 0.1\n1 0.5 0.5 0.1 0.1\n")
+    labels = read_labels(tmp_path)
+    assert labels.classes == ("car", "class 1", "truck")
+    assert [label.class_name for label in labels.images["one"]] == ["truck", "class 1"]
+
+
+def test_a_mark_of_the_byte_order_is_skipped(tmp_path):
+    for name, text in (
+        ("coco.json", json.dumps(coco())),
+        ("points.geojson", json.dumps(features(shape("Point", [1, 2])))),
+    ):
+        plain = read_labels(written(tmp_path / "plain" / name, text))
+        assert read_labels(written(tmp_path / "marked" / name, "\ufeff" + text)) == plain
+    for kind, first, line in (
+        ("yolo", "data.yaml", "0 .5 .5 .1 .1"),
+        ("dota", None, "1 1 9 1 9 9 1 9 car 0"),
+    ):
+        for mark in ("", "\ufeff"):
+            folder = tmp_path / f"{kind}{len(mark)}"
+            picture(folder / "one.png")
+            written(folder / "one.txt", f"{mark}{line}\n")
+            if first:
+                written(folder / first, f"{mark}names: [car]\n")
+        assert read_labels(tmp_path / f"{kind}1") == read_labels(tmp_path / f"{kind}0")
 
 
 @pytest.mark.parametrize("named", [".", "images", "labels"])

@@ -9,6 +9,7 @@ from skyproof.results.statistics.acceptance import (
     decide,
     evidence_above,
     evidence_below,
+    fewest_tiles,
 )
 
 RUNS = 300
@@ -138,6 +139,18 @@ def test_tiles_without_found_vehicles_say_nothing():
     more = (np.append(found[0], [0, 0]), np.append(lost[0], [0, 0]))
     requirement = Requirement(0.2, 0.3)
     assert decide({"T-U": more}, requirement) == decide({"T-U": (found[0], lost[0])}, requirement)
+
+
+@pytest.mark.parametrize("reject", [0.001, 0.01, 0.05, 0.3, 0.75, 1.0])
+def test_the_fewest_tiles_accept_and_one_less_does_not(reject):
+    for risk in (0.01, 0.05, 0.2):
+        fewest = fewest_tiles(reject, risk)
+        assert evidence_below(np.zeros(fewest), reject) >= (1 - 1e-9) / risk
+        assert evidence_below(np.zeros(fewest - 1), reject) < (1 + 1e-9) / risk
+
+
+def test_the_fewest_tiles_are_known_at_once_even_where_nobody_could_fly_them():
+    assert 10**9 < fewest_tiles(1e-9, 0.05) < 10**11
 
 
 def test_the_borders_of_the_range():

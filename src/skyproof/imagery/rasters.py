@@ -13,6 +13,7 @@ from rasterio.errors import RasterioIOError
 from rasterio.io import DatasetReader
 
 from skyproof.errors import ImageryError
+from skyproof.files import refuse_special
 from skyproof.pictures import LARGEST_PX
 
 RASTER_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".jp2", ".vrt")
@@ -66,6 +67,7 @@ def open_raster(path: Path) -> DatasetReader:
         RasterioError: it cannot be read.
     """
     path = Path(path)
+    refuse_special(path, "give image files", error=ImageryError)
     if path.suffix.lower() != ".vrt":
         return _limited(rasterio.open(path, driver=_driver(path)), path)
     _check_vrt(path, path.resolve().parent, depth=1)

@@ -13,6 +13,7 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
 from skyproof.documents import read_document
 from skyproof.errors import ImageryError
+from skyproof.files import refuse_special
 from skyproof.imagery.labels.label import Box, ImageLabels, Label, require_inside
 from skyproof.imagery.rasters import RASTER_SUFFIXES, open_raster
 from skyproof.ranges import Coordinate
@@ -191,7 +192,10 @@ def _classes(path: Path) -> list[str]:
     text = _read_text(path)
     is_yaml = path.suffix == ".yaml"
     names = _yaml_names(text, path) if is_yaml else [line.strip() for line in text.splitlines()]
-    names = [name for name in names if name]
+    while names and not names[-1]:
+        names.pop()
+    # An empty place counts, since labels name classes by their place.
+    names = [name or f"class {place}" for place, name in enumerate(names)]
     if not names:
         raise ImageryError(
             f"{path} names no classes ('names:' as a list, or as numbers and names); add them."
@@ -224,7 +228,7 @@ def _yaml_names(text: str, path: Path) -> list[str]:
         names = [names.get(str(number)) for number in range(len(names))]
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         return []
-    return names
+    return ["" if name in ("null", "~") else name for name in names]
 
 
 def is_dota_line(words: list[str]) -> bool:
@@ -277,10 +281,10 @@ def _dota_label(where: str, words: list[str]) -> Label:
 
 
 def _read_text(path: Path) -> str:
+    refuse_special(path, "split the labels", error=ImageryError, largest_bytes=_LARGEST_BYTES)
     try:
-        if path.stat().st_size > _LARGEST_BYTES:
-            raise ImageryError(f"{path} is longer than 256 MiB; split the labels.")
-        return path.read_text(encoding="utf-8")
+        # Editors on Windows begin a text with a mark of its byte order.
+        return path.read_text(encoding="utf-8-sig")
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or "it is not UTF-8"
         raise ImageryError(

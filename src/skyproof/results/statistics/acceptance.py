@@ -12,8 +12,10 @@ does not matter.
 """
 
 import math
+from bisect import bisect_left
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import count
 from typing import Annotated, Literal
 
 import numpy as np
@@ -161,10 +163,13 @@ def evidence_above(
 
 def fewest_tiles(reject: float, consumer_risk: float) -> int:
     """Gives the fewest tiles on which a detector can be accepted: one that loses nothing there."""
-    tiles = 1
-    while evidence_below(np.zeros(tiles), reject) < 1 / consumer_risk:
-        tiles += 1
-    return tiles
+    one = _below(np.zeros(1), reject)
+
+    def suffice(tiles: int) -> bool:
+        return bool(_mean(tiles * one) >= 1 / consumer_risk)
+
+    enough = next(tiles for tiles in (2**power for power in count()) if suffice(tiles))
+    return bisect_left(range(enough), True, lo=enough // 2, key=suffice)
 
 
 def _below(shares: Float[np.ndarray, "*runs C"], limit: float) -> Float[np.ndarray, "*runs bets"]:
