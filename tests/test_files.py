@@ -231,6 +231,23 @@ def test_a_lock_never_writes_through_a_link(tmp_path: Path) -> None:
     assert (tmp_path / "victim").read_text() == "precious"
 
 
+@pytest.mark.parametrize("name", ["/", "a/../../../../../../../../..", "loop", "loop/x", "a\0b"])
+def test_a_place_without_a_name_is_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("loop").symlink_to("loop")
+    for writer in (alone, finished_folder, new_file):
+        with pytest.raises(RunFolderError, match="is no place for a result"), writer(Path(name)):
+            pytest.fail("the block must not run")
+
+
+def test_the_working_folder_exists_already(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(RunFolderError, match="exists already"), finished_folder(Path()):
+        pytest.fail("the block must not run")
+
+
 def test_a_lock_empties_no_file_of_two_names(tmp_path: Path) -> None:
     mine = tmp_path / "mine.txt"
     mine.write_text("kept")

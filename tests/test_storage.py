@@ -1,6 +1,8 @@
 """Tensors in files: what is written comes back, and what is damaged is refused in one sentence."""
 
+import json
 import math
+import struct
 
 import pytest
 import torch
@@ -81,6 +83,14 @@ def test_numbers_that_are_not_finite_are_not_stored(tmp_path, tensors, record):
     with pytest.raises(NotFiniteError, match=r"x\.safetensors would hold"):
         write_tensors(path, tensors, record)
     assert not path.exists()
+
+
+def test_a_type_that_torch_cannot_copy_is_one_sentence(tmp_path):
+    header = {"a": {"dtype": "F4", "shape": [4], "data_offsets": [0, 2]}}
+    text = json.dumps(header).encode()
+    (tmp_path / "a.safetensors").write_bytes(struct.pack("<Q", len(text)) + text + b"\0\0")
+    with pytest.raises(StoredFileError, match=r"a\.safetensors is damaged .*; copy it again"):
+        read_tensors(tmp_path / "a.safetensors", "copy it again")
 
 
 def test_small_floats_are_read_and_looked_through(tmp_path):

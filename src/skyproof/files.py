@@ -64,7 +64,7 @@ def finished_folder(path: Path) -> Iterator[Path]:
     the block fails, its files are removed, so that a full disk has room again; the next try removes
     the leftovers of a kill.
     """
-    path = Path(path)
+    path = _place(path)
     # The name is hidden, so that it cannot be a folder of the user.
     partial = path.with_name(f".{path.name}.partial")
     with alone(path):
@@ -92,7 +92,7 @@ def alone(place: Path) -> Iterator[Hold]:
     The lock is a file `.<name>.lock` beside the place; it names its holder. The holder's death
     releases it, and a leftover lock file is no obstacle.
     """
-    place = Path(place).resolve()
+    place = _place(place).resolve()
     path = place.with_name(f".{place.name}.lock")
     descriptors: list[int] = []
     lock = FileLock(path, blocking=False, thread_local=False, on_acquired=descriptors.append)
@@ -131,6 +131,20 @@ class Hold:
         with suppress(OSError):
             os.ftruncate(self.descriptor, 0)
             os.pwrite(self.descriptor, text.encode(errors="replace"), 0)
+
+
+def _place(path: Path) -> Path:
+    """Refuses a place without a name, such as "/", or one that no system can have."""
+    path = Path(path)
+    try:
+        path = path if path.name else path.resolve()
+        named = bool(path.resolve().name)
+    except (OSError, RuntimeError, ValueError):
+        # The name holds a NUL, or a link leads to itself.
+        named = False
+    if not named:
+        raise RunFolderError(f"{str(path)!r} is no place for a result; choose another --out.")
+    return path
 
 
 def _holder(lock: Path) -> str:

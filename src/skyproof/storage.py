@@ -52,13 +52,14 @@ def read_tensors(path: Path, remedy: str) -> tuple[dict[str, Tensor], dict[str, 
             # Tensors lie at any address in the file, which changes the order of sums in kernels. A
             # copy gives the same numbers as the written tensors, to the last bit.
             tensors = {name: file.get_tensor(name).clone() for name in file.keys()}  # noqa: SIM118
-    except (SafetensorError, OSError, ValueError) as error:
+        broken = _not_finite(tensors)
+    except (SafetensorError, OSError, ValueError, RuntimeError) as error:
+        # Torch cannot use every type that safetensors knows.
         reason = getattr(error, "strerror", None) or "it is no whole safetensors file"
         raise StoredFileError(f"{path} is damaged ({reason}); {remedy}.") from error
     record: dict[str, Any] = parse_document(
         text.encode(), dict[str, Any], f"{path} has a record that", remedy
     )
-    broken = _not_finite(tensors)
     if broken is not None:
         raise StoredFileError(f"{path} holds numbers that are not finite ({broken}); {remedy}.")
     return tensors, record

@@ -227,3 +227,6 @@ def test_folders_of_others_are_refused(layered: LayeredGenerator, tmp_path: Path
     write_tensors(tmp_path / "generator.safetensors", tensors)
     with pytest.raises(StoredFileError, match="holds no such generator"):
         load_generator(tmp_path)
+    write_tensors(tmp_path / "generator.safetensors", tensors | {"components": torch.tensor(1.0)})
+    with pytest.raises(StoredFileError, match="holds no such generator"):
+        load_generator(tmp_path)

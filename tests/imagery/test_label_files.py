@@ -401,6 +401,10 @@ def test_a_feature_may_ask_to_be_ignored(tmp_path):
         ),
         (features(shape("Point", [1, 2]), crs=crs("EPSG:999999")), "reference system"),
         (features(shape("Point", [1, 2]), crs={"type": "link"}), "reference system"),
+        (
+            features(shape("Point", [1, 2]), properties={"class": ["car", "van"]}),
+            "object 1 has several values as its 'class'",
+        ),
     ],
 )
 def test_bad_geojson(tmp_path, document, message):

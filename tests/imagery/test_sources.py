@@ -1,5 +1,7 @@
 """Orthophotos as they come: bands, depths, nodata, alpha, world files, and what is refused."""
 
+from datetime import UTC, datetime
+
 import numpy as np
 import pytest
 import rasterio
@@ -334,6 +336,7 @@ def test_missing_and_namesake_images_and_bad_settings(tmp_path):
         with pytest.raises(ConfigurationError, match=system):
             tile([tmp_path], tmp_path / "set", crs=system)
     for wrong in (
+        {"taken": datetime(9999, 12, 31, 23, tzinfo=UTC)},
         {"source_gsd_m": 0.0},
         {"gsd_m": float("nan")},
         {"size_px": 0},

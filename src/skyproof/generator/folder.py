@@ -54,7 +54,7 @@ def load_generator(folder: str | Path) -> LayeredGenerator | AdversarialGenerato
         if description.method == "layered":
             return LayeredGenerator.of(description.body_types, tensors)
         return AdversarialGenerator.of(tensors)
-    except (KeyError, RuntimeError, ValueError) as error:
+    except (KeyError, RuntimeError, TypeError, ValueError) as error:
         raise StoredFileError(f"{path} holds no such generator; {_REMEDY}.") from error
 
 

@@ -17,6 +17,7 @@ from skyproof.scenes.splits import SPLITS, Split
 _ROOM_PX = 112
 """Difference between the sides of procedural tiles and of the windows cut from them."""
 
+_FIRST_YEAR, _LAST_YEAR = 1900, 2100
 _SYSTEM = re.compile(r"[\w.]+(:[\w.]*)*|\+proj=[^/@]*|[A-Z_0-9]+\s*\[.*", re.DOTALL)
 _TileSide = Annotated[int, Meta(ge=1, le=8192)]
 
@@ -82,6 +83,11 @@ class SourceSettings:
             raise ConfigurationError(
                 f"--source.taken expects a time with its zone, got {self.taken.isoformat()}; add "
                 "the zone, such as +02:00 or Z."
+            )
+        if self.taken is not None and not _FIRST_YEAR <= self.taken.year <= _LAST_YEAR:
+            raise ConfigurationError(
+                f"--source.taken expects a year from {_FIRST_YEAR} to {_LAST_YEAR}, got "
+                f"{self.taken.year}."
             )
         if self.crs is not None:
             # Loaded only for a named system: it takes a second.

@@ -171,7 +171,7 @@ def _read_ground_labels(path: Path, system_name: str | None = None) -> GroundLab
                 )
             # Shapefiles have no truth values, only numbers.
             ignored = str(record.get("ignore")) in ("True", "1")
-            labels.append(Label(_class_name(record), corners, ignored))
+            labels.append(Label(_class_name(record, where), corners, ignored))
     names = dict.fromkeys(label.class_name for label in labels)
     return GroundLabels(tuple(names), tuple(labels), crs)
 
@@ -196,6 +196,11 @@ def _corners(part: Any) -> tuple[Point, ...]:
     return corners if len(corners) == 4 else box
 
 
-def _class_name(record: Mapping[str, Any]) -> str:
-    values = [record[key] for key in _CLASS_KEYS if record.get(key) not in (None, "")]
-    return str(values[0]) if values else _UNNAMED
+def _class_name(record: Mapping[str, Any], where: str) -> str:
+    for key in _CLASS_KEYS:
+        value = record.get(key)
+        if isinstance(value, list | dict | np.ndarray):
+            raise ImageryError(f"{where} has several values as its {key!r}; give one.")
+        if value is not None and value != "":
+            return str(value)
+    return _UNNAMED
