@@ -222,5 +222,6 @@ def _bound(shares: Float[np.ndarray, " C"], risk: float, *, below: bool) -> floa
     """Gives the last limit that the evidence does not exclude, in thousandths."""
     evidence = evidence_below if below else evidence_above
     limits = np.arange(1, 1001) / 1000 if below else np.arange(999, -1, -1) / 1000
-    left = [float(limit) for limit in limits if evidence(shares, float(limit)) < 1 / risk]
-    return left[-1] if left else float(shares.mean())
+    # The evidence grows along the limits.
+    left = bisect_left(limits, 1 / risk, key=lambda limit: float(evidence(shares, float(limit))))
+    return float(limits[left - 1]) if left else float(shares.mean())
