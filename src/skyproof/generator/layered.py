@@ -7,7 +7,7 @@ map is exact.
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import astuple, fields
 
 import torch
 from jaxtyping import Float
@@ -73,18 +73,9 @@ class LayeredGenerator:
         largest = components.gather(1, components.abs().argmax(1, keepdim=True))
         # Row by row, as they come back from a file: sums then have the same order too.
         components = (components * largest.sign()).float().contiguous()
-        dimensions = torch.tensor(
-            [[getattr(each, name) for name in _NAMES] for each in vehicles.dimensions]
-        )
-        latents = torch.cat(
-            (
-                dimensions,
-                srgb_to_cielab(vehicles.paint),
-                srgb_to_cielab(vehicles.glass),
-                (flat - mean) @ components.T,
-            ),
-            dim=1,
-        )
+        dimensions = torch.tensor([astuple(each) for each in vehicles.dimensions])
+        colours = [srgb_to_cielab(each) for each in (vehicles.paint, vehicles.glass)]
+        latents = torch.cat((dimensions, *colours, (flat - mean) @ components.T), dim=1)
         return cls(vehicles.body_types, latents, mean, components)
 
     def sample_latent(
@@ -125,15 +116,9 @@ class LayeredGenerator:
             body, body_type, paint=paint, glass=glass, generator=generator_of(seed, "trim")
         )
         detail = self._detail_mean + latent[bodies + 6 :] @ self._components
-        half = detail.view(1, 3, MAP_PX, MAP_PX // 2)
-        on_top = unfolded(half, TEXTURE_SIZE)[0]
+        on_top = unfolded(detail.view(1, 3, MAP_PX, MAP_PX // 2), TEXTURE_SIZE)[0]
         texture = (drawn.float() / 255 + on_top).clamp(0.0, 1.0)
-        return LearntVehicle(
-            body_type,
-            body.vertices,
-            (texture * 255).round().to(torch.uint8),
-            parts,
-        )
+        return LearntVehicle(body_type, body.vertices, (texture * 255).round().byte(), parts)
 
     def sample(self, generator: torch.Generator) -> LearntVehicle:
         """Draws a vehicle."""

@@ -58,7 +58,7 @@ def learn_vehicles(
     device: torch.device | str = "cpu",
     progress: Callable[[str, int, int], None] | None = None,
 ) -> dict[str, Any]:
-    """Learns a generator of vehicles from photographs.
+    """Learns a generator of vehicles from photographs, and gives what `generator.json` says.
 
     A stopped run goes on after the last stored fit or step, and ends at the same bytes. Fits do not
     depend on the method: a copy of `fits/` spares another method them.
@@ -70,9 +70,6 @@ def learn_vehicles(
             sheets of samples (see `write_sample_sheets`).
         device: where the network of "gan" is trained; all else works on the CPU.
         progress: called with ("fit" or "learn", done, in all).
-
-    Returns:
-        What `generator.json` says.
 
     Raises:
         ConfigurationError: too few vehicles can be fitted, or were, or tiles do not belong
@@ -91,9 +88,13 @@ def learn_vehicles(
         "gsd_m": imagery[0].tiles.gsd_m,
         "photographs": [_photographs_digest(each) for each in imagery],
     }
+    text = json.dumps(identity, sort_keys=True)
+    short = {"identity_sha256": hashlib.sha256(text.encode()).hexdigest()}
     with alone(folder):
         if (folder / "generator.json").exists():
-            return _finished(folder, identity)
+            record = read_generator_record(folder)
+            refuse_other(folder, {name: record.get(name) for name in short}, short, _OTHER)
+            return record
         prototypes = draw_prototypes(list(BODY_RANGES), settings.fit.bodies, settings.seed)
         fitters: list[Fitter] = []
         for each, (own, _) in zip(imagery, found, strict=True):
@@ -118,30 +119,15 @@ def learn_vehicles(
             generator = learn_adversarially(
                 learnt_from, settings.gan, place, settings.seed, device, report
             )
-        record = {
-            **_record(settings, imagery, vehicles, kept, left_out, prototypes),
-            "identity_sha256": _digest(identity),
-        }
+        record = _record(settings, imagery, vehicles, kept, left_out, prototypes) | short
         write_fit_sheets(folder / "fits", fitters, vehicles, fits, prototypes)
         write_sample_sheets(folder, generator, settings.seed)
         save_generator(folder, generator, record)
     return record
 
 
-def _finished(folder: Path, identity: dict[str, Any]) -> dict[str, Any]:
-    """Gives the record of a finished run, if it is this one."""
-    record = read_generator_record(folder)
-    stored = {"identity_sha256": record.get("identity_sha256")}
-    refuse_other(folder, stored, {"identity_sha256": _digest(identity)}, _OTHER)
-    return record
-
-
 def _photographs_digest(imagery: Imagery) -> str:
-    """Computes the SHA-256 over all files of a pair of folders, wherever these lie.
-
-    Raises:
-        StoredFileError: a tile or a map is missing.
-    """
+    """Computes the SHA-256 over all files of a pair of folders, wherever these lie."""
     total = hashlib.sha256()
     for backgrounds in (imagery.tiles, imagery.cleared):
         names = ["index.json"]
@@ -153,10 +139,6 @@ def _photographs_digest(imagery: Imagery) -> str:
                 raise StoredFileError(f"{path} is missing; copy the whole folder again.")
             total.update(f"{name} {file_digest(path)}\n".encode())
     return total.hexdigest()
-
-
-def _digest(identity: dict[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()
 
 
 def _fit_all(

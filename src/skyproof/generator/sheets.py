@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import torch
 from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw
 from torch import Tensor
@@ -24,11 +25,13 @@ from skyproof.vehicles.vehicle import VehicleBatch
 _SIDE_PX = 192
 _CAPTION_PX = 16
 _ROWS = 24
-_SAMPLES, _COLUMNS = 24, 6
+_SAMPLES, _ABREAST = 24, 3
 _CLOSE_M, _COARSE_M = 0.016, 0.125
 _SIDE_M = 6.4
 _GREY = 0.5
 _ROWS_BETWEEN, _STEPS_BETWEEN = 4, 7
+Picture = UInt8[np.ndarray, "_ _ 3"]
+
 _TURNS, _ASLANT_RAD, _ASLANT_SIDE_M = 7, math.radians(50), 7.6
 
 
@@ -51,8 +54,7 @@ def write_fit_sheets(
             _fit_row(fitters[index], vehicles[index], fits[index], prototypes)
             for index in order[start : start + _ROWS]
         ]
-        with write_beside(folder / f"{number:05d}.png") as temporary:
-            Image.fromarray(np.concatenate(rows)).save(temporary, compress_level=3)
+        _save(folder / f"{number:05d}.png", rows)
 
 
 def write_sample_sheets(folder: Path, vehicles: VehicleGenerator, seed: int) -> None:
@@ -69,69 +71,57 @@ def write_sample_sheets(folder: Path, vehicles: VehicleGenerator, seed: int) -> 
         fleet_of(vehicles.between(_STEPS_BETWEEN, generator), vehicles.method)
         for _ in range(_ROWS_BETWEEN)
     ]
-    sheets = {
-        "samples": fleet_sheet(fleet),
-        "between": np.concatenate([_row(each) for each in ways]),
-        "turntable": np.concatenate([_turntable_row(fleet.batch([name])) for name in few]),
-    }
-    for name, sheet in sheets.items():
-        with write_beside(folder / f"{name}.png") as temporary:
-            Image.fromarray(sheet).save(temporary, compress_level=3)
+    _save(folder / "samples.png", _sample_rows(fleet))
+    _save(folder / "between.png", [_row(each) for each in ways])
+    _save(folder / "turntable.png", [_turntable_row(fleet.batch([name])) for name in few])
 
 
 def write_preview(path: Path, vehicles: VehicleGenerator, seed: int) -> None:
     """Writes some samples of a generator that still learns, always of the same draws."""
     generator = generator_of(seed, "preview")
     samples = [vehicles.sample(generator) for _ in range(_STEPS_BETWEEN)]
+    _save(path, [_row(fleet_of(samples, vehicles.method))], compress_level=6)
+
+
+def _save(path: Path, rows: Sequence[Picture], compress_level: int = 3) -> None:
     with write_beside(path) as temporary:
-        Image.fromarray(_row(fleet_of(samples, vehicles.method))).save(temporary)
+        sheet = Image.fromarray(np.concatenate(rows))
+        sheet.save(temporary, compress_level=compress_level)
 
 
-def _row(fleet: Fleet) -> UInt8[np.ndarray, "H W 3"]:
+def _row(fleet: Fleet) -> Picture:
     """Draws vehicles side by side from above, and their part maps below."""
     close = close_up(fleet.batch(fleet.ids), gsd_m=_CLOSE_M, side_m=_SIDE_M)
-    above = [_cell(picture.float() / 255) for picture in close]
-    parts = [_parts(each) for each in fleet.parts]
-    return np.concatenate([np.concatenate(above, axis=1), np.concatenate(parts, axis=1)])
+    above = np.concatenate([*map(_cell, close)], axis=1)
+    return np.concatenate([above, np.concatenate([*map(_parts, fleet.parts)], axis=1)])
 
 
-def _turntable_row(vehicle: VehicleBatch) -> UInt8[np.ndarray, "H W 3"]:
+def _turntable_row(vehicle: VehicleBatch) -> Picture:
+    aslant = {"gsd_m": _CLOSE_M, "side_m": _ASLANT_SIDE_M, "tilt_rad": _ASLANT_RAD}
     turns = [2 * math.pi * number / _TURNS for number in range(_TURNS)]
-    views = [
-        close_up(
-            vehicle,
-            gsd_m=_CLOSE_M,
-            side_m=_ASLANT_SIDE_M,
-            tilt_rad=_ASLANT_RAD,
-            heading_rad=turn,
-        )[0]
-        for turn in turns
-    ]
-    return np.concatenate([_cell(view.float() / 255) for view in views], axis=1)
+    views = [close_up(vehicle, **aslant, heading_rad=turn)[0] for turn in turns]
+    return np.concatenate([*map(_cell, views)], axis=1)
 
 
-def fleet_sheet(fleet: Fleet) -> UInt8[np.ndarray, "H W 3"]:
+def _sample_rows(fleet: Fleet) -> list[Picture]:
     """Draws all vehicles of a fleet: at 1.6 cm per pixel, at 12.5 cm, and their part maps."""
     batch = fleet.batch(fleet.ids)
-    close = close_up(batch, gsd_m=_CLOSE_M, side_m=_SIDE_M)
-    coarse = close_up(batch, gsd_m=_COARSE_M, side_m=_SIDE_M)
+    views = [close_up(batch, gsd_m=gsd_m, side_m=_SIDE_M) for gsd_m in (_CLOSE_M, _COARSE_M)]
     cells = []
-    for index, name in enumerate(fleet.ids):
-        parts = _parts(fleet.parts[index])
-        pictures = [_cell(close[index].float() / 255), _cell(coarse[index].float() / 255), parts]
+    for name, parts, close, coarse in zip(fleet.ids, fleet.parts, *views, strict=True):
+        pictures = [_cell(close), _cell(coarse), _parts(parts)]
         cells.append(_captioned(np.concatenate(pictures, axis=1), name))
-    while len(cells) % (_COLUMNS // 2):
+    while len(cells) % _ABREAST:
         cells.append(np.full_like(cells[0], 255))
-    rows = [
-        np.concatenate(cells[start : start + _COLUMNS // 2], axis=1)
-        for start in range(0, len(cells), _COLUMNS // 2)
+    return [
+        np.concatenate(cells[start : start + _ABREAST], axis=1)
+        for start in range(0, len(cells), _ABREAST)
     ]
-    return np.concatenate(rows)
 
 
 def _fit_row(
     fitter: Fitter, vehicle: Photographed, fit: Fit, prototypes: Sequence[Prototype]
-) -> UInt8[np.ndarray, "H W 3"]:
+) -> Picture:
     prototype = prototypes[fit.prototype]
     photograph, rendered = fitter.pictures(vehicle, fit)
     shown = shown_pixels(vehicle).float()
@@ -149,24 +139,25 @@ def _fit_row(
     return _captioned(np.concatenate(pictures, axis=1), caption)
 
 
-def _cell(picture: Float[Tensor, "3 H W"]) -> UInt8[np.ndarray, "S S 3"]:
-    array = (picture.detach().permute(1, 2, 0).numpy() * 255).round().astype(np.uint8)
-    large = Image.fromarray(array).resize((_SIDE_PX, _SIDE_PX), _resampling(array.shape[0]))
-    return np.asarray(large)
-
-
-def _resampling(side_px: int) -> Image.Resampling:
+def _cell(picture: UInt8[Tensor, "3 H W"] | Float[Tensor, "3 H W"]) -> Picture:
     """Pixels of photographs stay pixels; fine pictures are averaged."""
-    return Image.Resampling.NEAREST if side_px < _SIDE_PX else Image.Resampling.LANCZOS
+    if picture.dtype != torch.uint8:
+        picture = (picture.detach() * 255).round().byte()
+    small = picture.shape[1] < _SIDE_PX
+    method = Image.Resampling.NEAREST if small else Image.Resampling.LANCZOS
+    return _resized(picture.permute(1, 2, 0).numpy(), method)
 
 
-def _parts(parts: UInt8[Tensor, "512 512"]) -> UInt8[np.ndarray, "S S 3"]:
-    colours = np.array(list(PART_COLOURS.values()), dtype=np.uint8)[parts.numpy()]
-    picture = Image.fromarray(colours).resize((_SIDE_PX, _SIDE_PX), Image.Resampling.NEAREST)
-    return np.asarray(picture)
+def _parts(parts: UInt8[Tensor, "512 512"]) -> Picture:
+    colours = np.array(list(PART_COLOURS.values()), dtype=np.uint8)
+    return _resized(colours[parts.numpy()], Image.Resampling.NEAREST)
 
 
-def _captioned(row: UInt8[np.ndarray, "H W 3"], caption: str) -> UInt8[np.ndarray, "H2 W 3"]:
+def _resized(pixels: Picture, method: Image.Resampling) -> Picture:
+    return np.asarray(Image.fromarray(pixels).resize((_SIDE_PX, _SIDE_PX), method))
+
+
+def _captioned(row: Picture, caption: str) -> Picture:
     picture = Image.new("RGB", (row.shape[1], row.shape[0] + _CAPTION_PX), "white")
     picture.paste(Image.fromarray(row), (0, _CAPTION_PX))
     ImageDraw.Draw(picture).text((4, 2), caption, fill="black")
