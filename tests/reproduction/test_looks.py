@@ -72,7 +72,7 @@ def test_area_is_of_worn_texels_alone():
 
 def test_likeness_of_the_same_of_others_and_of_the_opposite():
     area = torch.ones(512, 512)
-    first, second = (Worn.of(drawn(seed), area) for seed in (0, 1))
+    first, second = (Worn(drawn(seed).float() / 255, area) for seed in (0, 1))
     assert likeness(first, first) == (pytest.approx(1.0), 0.0)
     correlation, distance = likeness(first, second)
     assert correlation == pytest.approx(0.0, abs=0.01)
@@ -88,7 +88,8 @@ def test_what_is_alike_coarsely_is_so_once_fine_detail_is_averaged():
     area = torch.ones(512, 512)
     coarse = drawn(5, 128).repeat_interleave(4, 1).repeat_interleave(4, 2)
     first, second = (
-        Worn.of((coarse.float() * 0.5 + drawn(seed).float() * 0.5).byte(), area) for seed in (0, 1)
+        Worn((coarse.float() * 0.5 + drawn(seed).float() * 0.5).byte().float() / 255, area)
+        for seed in (0, 1)
     )
     correlation, distance = likeness(first, second)
     seen_correlation, seen_distance = likeness(first.seen(), second.seen())
@@ -102,8 +103,8 @@ def test_only_what_is_worn_counts():
     area[:100] = 1.0
     first, second = drawn(0), drawn(1)
     second[:, :100] = first[:, :100]
-    assert likeness(Worn.of(first, area), Worn.of(second, area))[1] == 0.0
-    seen = [Worn.of(texture, area).seen() for texture in (first, second)]
+    assert likeness(Worn(first.float() / 255, area), Worn(second.float() / 255, area))[1] == 0.0
+    seen = [Worn(texture.float() / 255, area).seen() for texture in (first, second)]
     assert likeness(*seen)[1] == 0.0
 
 

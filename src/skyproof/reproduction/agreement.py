@@ -221,21 +221,21 @@ def _ranks(run: Reproduction) -> list[Block]:
     ]
     own_ranks = stats.rankdata([-ours[name] for name in names])
     paper_ranks = stats.rankdata([-PAPER_RESULTS[name].easr for name in names])
-    ranks = dict(zip(names, zip(own_ranks, paper_ranks, strict=True), strict=True))
-    rows = [
-        [name, f"{own:g}", f"{theirs:g}", number(ours[name]), number(PAPER_RESULTS[name].easr, 2)]
-        for name, (own, theirs) in sorted(
-            ranks.items(), key=lambda item: -abs(item[1][0] - item[1][1])
-        )
+    apart = [
+        (abs(own - theirs), name, own, theirs)
+        for name, own, theirs in zip(names, own_ranks, paper_ranks, strict=True)
         if abs(own - theirs) > 1
     ]
-    if not rows and ranks:
-        return [f"None of {len(ranks)} attacks is more than one rank from its place in the paper."]
-    if not rows:
-        return []
-    header = ["attack", "our rank", "paper’s rank", "our EASR", "paper’s EASR"]
+    if not apart:
+        said = f"None of {len(names)} attacks is more than one rank from its place in the paper."
+        return [said] if names else []
+    rows = [
+        [name, f"{own:g}", f"{theirs:g}", number(ours[name]), number(PAPER_RESULTS[name].easr, 2)]
+        for _, name, own, theirs in sorted(apart, key=lambda row: -row[0])
+    ]
     text = (
         f"Of {len(names)} attacks, these are two or more ranks from their place in the paper (1 is "
         "the strongest):"
     )
+    header = ["attack", "our rank", "paper’s rank", "our EASR", "paper’s EASR"]
     return [text, TextTable(header, rows)]

@@ -175,7 +175,7 @@ def measure_looks(
                 areas[masked] = worn_area(vehicles, texture.mask(vehicles))
             textures.append(count_colours(folder.name, texture.bytes(), areas[masked]))
             if folder.name in compared:
-                fine = Worn.of(texture.bytes(), areas[masked])
+                fine = Worn(texture.bytes().float() / 255, areas[masked])
                 worn[folder.name] = (fine, fine.seen())
         progress(done, len(folders))
     pairs = []
@@ -208,11 +208,6 @@ class Worn:
 
     colours: Float[Tensor, "3 H W"]
     area: Float[Tensor, "H W"]
-
-    @classmethod
-    def of(cls, texture: UInt8[Tensor, "3 H W"], area: Float[Tensor, "H W"]) -> Worn:
-        """Takes a texture of 8 bits."""
-        return cls(texture.float() / 255, area)
 
     def seen(self) -> Worn:
         """Averages over blocks of 4 x 4 texels, in linear light, as the renderer does."""

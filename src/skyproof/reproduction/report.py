@@ -21,7 +21,6 @@ from skyproof.reproduction.cells import (
     as_markdown,
     number,
 )
-from skyproof.reproduction.criteria import criteria_part
 from skyproof.reproduction.cycles import cycles_part
 from skyproof.reproduction.features import features_part
 from skyproof.reproduction.held_out import held_out_part
@@ -31,7 +30,7 @@ from skyproof.reproduction.reproduction import Reproduction
 from skyproof.reproduction.tables import main_part, shape_table, texture_table
 from skyproof.reproduction.trainings import trainings_part
 from skyproof.reproduction.transfer import transfer_part
-from skyproof.reproduction.trust import trust_part
+from skyproof.reproduction.trust import criteria_part, trust_part
 from skyproof.reproduction.variability import variability_part
 from skyproof.reproduction.weather import weather_part
 from skyproof.results.results import Results

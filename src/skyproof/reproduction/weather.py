@@ -96,16 +96,12 @@ def _rows(
     on_clear_days = [clear.outcomes(name, RENDERER) for name in names]
     in_weather = [weather.outcomes(name, RENDERER) for name in names]
     seen = {outcome.condition for outcome in in_weather[0]}
-    told: dict[str, Sequence[Sequence[Outcome]]] = {CLEAR: on_clear_days}
-    for condition in CONDITIONS:
-        if condition in seen and condition != CLEAR:
-            told[condition] = [
-                [outcome for outcome in part if outcome.condition == condition]
-                for part in in_weather
-            ]
-    told[EVERY_WEATHER] = in_weather
+    conditions = [name for name in CONDITIONS if name in seen and name != CLEAR]
     rows = []
-    for condition, outcomes in told.items():
+    for condition in (CLEAR, *conditions, EVERY_WEATHER):
+        outcomes = on_clear_days if condition == CLEAR else in_weather
+        if condition in conditions:
+            outcomes = [[each for each in part if each.condition == condition] for part in outcomes]
         for detector in detectors:
             parts = [
                 [outcome for outcome in part if detector in (outcome.detector, MEAN)]
