@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from skyproof.generator.fits import Fit, FittedVehicles, fitted_vehicles
-from skyproof.generator.prototypes import Prototype, draw_prototypes
+from skyproof.generator.fits import Fit, FittedVehicles, Prototype, draw_prototypes, fitted_vehicles
 from tests.generator.made_fits import made_fits
 from tests.generator.photographs import Photographs, take_photographs
 

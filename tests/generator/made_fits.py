@@ -6,9 +6,8 @@ from collections.abc import Sequence
 
 import torch
 
-from skyproof.generator.fits import Fit
+from skyproof.generator.fits import Fit, Prototype
 from skyproof.generator.maps import MAP_PX
-from skyproof.generator.prototypes import Prototype
 
 
 def made_fits(prototypes: Sequence[Prototype], count: int) -> list[Fit]:

@@ -9,11 +9,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from skyproof.generator.fits import Fit, Fits, fitted_vehicles
+from skyproof.generator.fits import Fit, Fits, Prototype, fitted_vehicles
 from skyproof.generator.fitting import Fitter
 from skyproof.generator.maps import MAP_PX, whole
 from skyproof.generator.photographed import Photographed, photographed_vehicles
-from skyproof.generator.prototypes import Prototype
 from skyproof.generator.settings import FitSettings
 from skyproof.vehicles.vehicle import Part
 from tests.generator.photographs import Photographs

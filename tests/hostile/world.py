@@ -13,10 +13,9 @@ from PIL import Image
 from rasterio.transform import from_origin
 
 from skyproof.detectors.card import read_card
-from skyproof.generator.fits import fitted_vehicles
+from skyproof.generator.fits import draw_prototypes, fitted_vehicles
 from skyproof.generator.folder import save_generator
 from skyproof.generator.layered import LayeredGenerator
-from skyproof.generator.prototypes import draw_prototypes
 from skyproof.main import run
 from skyproof.reproduction.preset import PRESETS
 from skyproof.results.baseline import Baseline

@@ -11,10 +11,9 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from skyproof.generator.fits import Fit
+from skyproof.generator.fits import Fit, Layers, Prototype
 from skyproof.generator.maps import MAP_PX, unfolded
 from skyproof.generator.photographed import Photographed, shown_pixels
-from skyproof.generator.prototypes import Layers, Prototype
 from skyproof.generator.settings import FitSettings
 from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
 from skyproof.geometry.projection import rotate_about_vertical

@@ -15,12 +15,18 @@ from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import alone, file_digest
 from skyproof.generator.adversarial import AdversarialGenerator
 from skyproof.generator.adversarial_training import learn_adversarially
-from skyproof.generator.fits import LARGEST_MISFIT, Fit, Fits, fitted_vehicles
+from skyproof.generator.fits import (
+    LARGEST_MISFIT,
+    Fit,
+    Fits,
+    Prototype,
+    draw_prototypes,
+    fitted_vehicles,
+)
 from skyproof.generator.fitting import Fitter
 from skyproof.generator.folder import read_generator_record, save_generator
 from skyproof.generator.layered import LayeredGenerator
 from skyproof.generator.photographed import Photographed, photographed_vehicles
-from skyproof.generator.prototypes import Prototype, draw_prototypes
 from skyproof.generator.settings import LearnSettings
 from skyproof.generator.sheets import write_fit_sheets, write_sample_sheets
 from skyproof.loop import Loop, refuse_other

@@ -11,12 +11,11 @@ from PIL import Image, ImageDraw
 from torch import Tensor
 
 from skyproof.files import write_beside
-from skyproof.generator.fits import LARGEST_MISFIT, Fit, fitted_texture
+from skyproof.generator.fits import LARGEST_MISFIT, Fit, Prototype, fitted_texture
 from skyproof.generator.fitting import Fitter
 from skyproof.generator.fleet import VehicleGenerator, fleet_of, sample_learnt_fleet
 from skyproof.generator.maps import whole
 from skyproof.generator.photographed import Photographed, shown_pixels
-from skyproof.generator.prototypes import Prototype
 from skyproof.randomness import generator_of
 from skyproof.render.portrait import PART_COLOURS, close_up
 from skyproof.vehicles.fleet import Fleet, FleetSettings
