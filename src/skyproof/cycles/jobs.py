@@ -41,13 +41,11 @@ _SKY_ROWS, _SKY_COLUMNS = 32, 64
 
 @dataclass(frozen=True)
 class Daylight:
-    """Light on a scene; a white matt surface on open ground sends 1.
+    """Light on a scene, linear; a white matt surface on open ground sends 1.
 
-    Attributes:
-        sun_irradiance: linear red, green, blue across the sun's rays.
-        sky: `[32, 64, 3]` linear radiance by elevation (90 degrees in the first row) and azimuth
-            (the middle column looks along +x, columns go clockwise from above), for Blender's
-            environment texture; zero below the horizon.
+    The sun's irradiance is across its rays. The sky's radiance is by elevation (90 degrees in the
+    first row) and azimuth (the middle column looks along +x, columns go clockwise from above), for
+    Blender's environment texture; zero below the horizon.
     """
 
     sun_irradiance: tuple[float, float, float]
@@ -112,8 +110,7 @@ class Job:
 def crop_windows(placed: Placed, margin_px: int, borders_px: Sequence[int]) -> Int[Tensor, "N 4"]:
     """Left, top, right, bottom of a window around each vehicle, its cast shadow and a margin.
 
-    Windows end at the image's border plus the sensor's blur (`borders_px`, one per image). The
-    window of a vehicle far from the image has no area.
+    Windows end at the image's border plus the sensor's blur; a vehicle far off has no area.
     """
     points = torch.cat((placed.screen, placed.shadow_screen), dim=1)
     window = torch.cat(

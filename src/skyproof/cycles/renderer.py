@@ -122,11 +122,7 @@ class CyclesRenderer:
 def open_renderer(
     rendering: Rendering, backgrounds: BackgroundSet, out: Path
 ) -> Iterator[Renderer]:
-    """Yields the chosen renderer; crops stay beside `out` until the block ends, for resuming.
-
-    Raises:
-        ConfigurationError: there is no usable Blender, or the settings cannot work.
-    """
+    """Yields the chosen renderer; crops stay beside `out` until the block ends, for resuming."""
     if rendering.renderer == "torch":
         yield TorchRenderer(backgrounds)
         return
@@ -145,18 +141,16 @@ def composite_crops(
     sensor: Sensor,
     lights: SceneLights,
 ) -> Float[Tensor, "3 H W"]:
-    """Lays crops over one image: I = I_bg * (1 - G(taken)) + G(colour), in linear light.
+    """Lays crops over one image in linear light (section S2): I_bg * (1 - G(taken)) + G(colour).
 
     `taken` is the share of the ground's light that a crop takes per channel: all behind vehicles,
     and 1 - ratio beside them, where ratio is the light there over the light without vehicles.
     Pixels out of reach keep the photograph's value exactly. Vehicles get the sensor's noise.
 
-    Args:
-        crops: left, top, width, height in image pixels, and linear colour times coverage (3),
-            coverage (1), ratio (3). Each crop shows everything in its window, so either is right in
-            an overlap.
-        margin_px: width over which the rest of the ratio fades out towards a crop's edge; not at
-            the image's border, where the shadow continues.
+    A crop is a window (left, top, width, height in image pixels) and linear colour times coverage
+    (3), coverage (1), ratio (3). It shows everything there, so either is right in an overlap.
+    Within the margin the ratio fades out towards a crop's edge, but not at the image's border,
+    where the shadow continues.
     """
     if not crops:
         return photograph

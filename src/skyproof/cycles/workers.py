@@ -61,11 +61,7 @@ class Workers:
             process.stop()
 
     def run(self, jobs: Sequence[Job]) -> list[np.ndarray]:
-        """The results of all jobs, in their order; existing ones are read.
-
-        Raises:
-            RunFolderError: a job failed twice, a worker died twice in it, or the disk is full.
-        """
+        """The results of all jobs, in their order; existing ones are read."""
         executor = ThreadPoolExecutor(self.count)
         try:
             return list(executor.map(self._one, jobs))

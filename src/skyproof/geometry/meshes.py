@@ -56,10 +56,7 @@ def enclosed_volume_m3(
 
 @lru_cache(maxsize=8)
 def mesh_edges(faces: Int[Tensor, "F 3"]) -> tuple[Int[Tensor, "E 2"], Int[Tensor, "E 2"]]:
-    """Returns the undirected edges of a closed mesh and the two faces at each.
-
-    The first face has the edge in the given order, the second in the opposite order.
-    """
+    """Returns a closed mesh's edges and the two faces of each: in its order, and the opposite."""
     directed = torch.cat((faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]))
     owner = torch.arange(len(faces), device=faces.device).repeat(3)
     count = int(faces.max()) + 1

@@ -24,11 +24,8 @@ def project(
     """Projects world points along parallel rays onto the ground, and so onto the pixel grid.
 
     World points are in metres (x east, y north, z up) from the image centre. `direction` holds unit
-    vectors towards the viewer, z > 0; if they point to the sun, the results are shadows.
-
-    Returns:
-        Pixel coordinates from the top-left corner (x right, y down), and depth in metres: smaller
-        is nearer.
+    vectors towards the viewer, z > 0; if they point to the sun, the results are shadows. Pixels are
+    counted from the top-left corner (x right, y down). Depth is in metres: smaller is nearer.
     """
     lean = (direction[:, :2] / direction[:, 2:])[:, None]
     ground = points[..., :2] - points[..., 2:] * lean

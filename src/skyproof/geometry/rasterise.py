@@ -17,10 +17,8 @@ _TRIANGLES = 1 << 17
 class Visibility:
     """The view of a grid of samples: one window of `S x S` samples for each of `N` bodies.
 
-    Attributes:
-        keys: depth and face in one integer; the largest one for empty samples.
-        covered: flat indices into `keys` of samples with a triangle.
-        x, y, vehicle, face: their column and row, the index of their window, the visible face.
+    `keys` hold depth and face in one integer, the largest one where a sample is empty. `covered`
+    are flat indices of the others, of which column, row, window and visible face follow.
     """
 
     def __init__(self, keys: Int[Tensor, "N S S"]) -> None:
@@ -87,10 +85,9 @@ def rasterise(
     One integer minimum over (depth, face) finds the nearest triangle. At equal depth, to 0.01 mm,
     the first face wins.
 
-    Args:
-        screen: vertices in samples from the top-left corner of their own `size` x `size` window.
-        depth: metres, smaller is nearer, magnitude below 10 km.
-        two_sided: whether triangles that show their inside are drawn, too, as open meshes need.
+    Vertices lie in samples from the top-left corner of their own `size` x `size` window; depths are
+    metres, smaller is nearer, magnitude below 10 km. With `two_sided` triangles that show their
+    inside are drawn, too, as open meshes need.
     """
     if len(faces) >= 1 << _FACE_BITS:
         raise ValueError(f"expected fewer than {1 << _FACE_BITS} faces, got {len(faces)}")

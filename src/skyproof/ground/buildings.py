@@ -18,10 +18,7 @@ _EAVES_M = {"tiled": (2.6, 6.0), "village": (2.2, 3.2), "metal": (4.0, 8.0)}
 
 
 def add_building(canvas: Canvas, place: Place, size_m: Place, angle_rad: float, kind: str) -> None:
-    """Builds a house of a kind: tiled, village (rusty sheets), metal or flat.
-
-    Its length is along its ridge.
-    """
+    """Builds a house, its ridge along its length: tiled, village (rusty sheets), metal or flat."""
     patch = canvas.rectangle(place, size_m, angle_rad)
     if patch.empty:
         return
@@ -83,10 +80,7 @@ def _flat_roof(canvas: Canvas, patch: Patch) -> None:
 def _roof_furniture(
     canvas: Canvas, place: Place, size_m: Place, angle_rad: float, kind: str
 ) -> None:
-    """Puts roof lights, solar panels, chimneys or air conditioning on a roof.
-
-    They are bright and dark boxes on a large plain shape.
-    """
+    """Puts roof lights, solar panels, chimneys or air conditioning on a roof: boxes on a plain."""
     rng = canvas.rng
     half_u, half_v = size_m[0] / 2 - 1.2, size_m[1] / 2 - 1.2
     if half_u <= 0.5 or half_v <= 0.5 or kind == "village":

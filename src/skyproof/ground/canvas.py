@@ -36,13 +36,10 @@ def palette(colours: str) -> tuple[Colour, ...]:
 
 @dataclass(frozen=True)
 class Patch:
-    """The part of the canvas that one shape touches.
+    """The part of the canvas that one shape touches, `[h, w]`.
 
-    Attributes:
-        rows, columns: slices into the canvas.
-        u, v: metres along and across the shape, from its centre, `[h, w]`.
-        inside: metres inside the outline, negative outside, `[h, w]`.
-        coverage: covered share of each pixel, 0 to 1, `[h, w]`.
+    `u` and `v` are metres along and across the shape, from its centre, `inside` metres inside the
+    outline, negative outside. `coverage` is the covered share of each pixel.
     """
 
     rows: slice
@@ -140,10 +137,7 @@ class Canvas:
     def rectangle(
         self, place: Place, size_m: Place, angle_rad: float = 0.0, corner_m: float = 0.0
     ) -> Patch:
-        """Returns a rectangle of length and width about a place, with rounded corners.
-
-        Its length is along u, its width along v.
-        """
+        """Returns a rectangle about a place, with rounded corners; its length is along u."""
         half_u, half_v = size_m[0] / 2 - corner_m, size_m[1] / 2 - corner_m
         radius_m = min(math.hypot(*size_m) / 2, 2 * self.reach_m + math.hypot(*place))
         rows, columns, u, v = self._local(place, angle_rad, radius_m)
@@ -230,10 +224,7 @@ class Canvas:
     def allow(
         self, patch: Patch, where: NDArray[np.bool_] | bool = True, turn_rad: float = 0.0
     ) -> None:
-        """Allows the middle of a vehicle under the patch.
-
-        The vehicle heads along the patch's u, which may bend, turned by `turn_rad` to the left.
-        """
+        """Allows the middle of a vehicle that heads along the patch's u, turned to the left."""
         if min(patch.v.shape) < 2:
             return
         down, right = np.gradient(patch.v)

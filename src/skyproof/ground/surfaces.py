@@ -38,11 +38,7 @@ def mark_lanes(canvas: Canvas, road: Patch, width_m: float, lanes: int) -> None:
 
 
 def mark_guides(canvas: Canvas, along: Patch, centre_v_m: float, crossed: Patch) -> None:
-    """Marks a pair of dashed lines, or of rows of squares, that lead a path across a road.
-
-    `along` is the whole canvas along the path, whose middle runs at `centre_v_m`. `crossed` is the
-    road on the whole canvas.
-    """
+    """Marks a pair of dashed lines, or of rows of squares, that lead a path across a road."""
     rng = canvas.rng
     apart_m = rng.uniform(1.6, 4.6)
     width_m = canvas.either(0.12, 0.2, 0.25, 0.5)
@@ -188,10 +184,7 @@ def add_road(
     colour: Array | None = None,
     kerbed: bool = True,
 ) -> None:
-    """Adds a road along u with wheel tracks, lane lines and covers.
-
-    The edge of a road without kerbs is ragged.
-    """
+    """Adds a road along u with wheel tracks, lane lines and covers, ragged without kerbs."""
     rng = canvas.rng
     road = canvas.band(ground, centre_v_m, width_m, 0.0 if kerbed else 0.15)
     lay_asphalt(canvas, road, colour)

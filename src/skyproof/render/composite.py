@@ -39,8 +39,6 @@ def composite(
 
     Args:
         photographs: sRGB; written over.
-        bodies: linear colour times coverage (3), and coverage (1), per vehicle.
-        shadows: shares of sun and sky that each pixel of the ground loses (2), per vehicle.
         nearness: orders the vehicles of an image; larger is nearer to the camera.
         seeds: seeds of the noise, one per image.
         cover: share of each pixel in which the photograph hides all of this.

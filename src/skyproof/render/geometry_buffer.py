@@ -23,10 +23,8 @@ _SAMPLE_BYTES, _FACE_BYTES = 76, 68
 class GeometryBuffer:
     """All of some scenes that their vehicles' textures do not change (deferred shading).
 
-    Attributes:
-        ground: photographs without vehicles, sRGB; not to be written over.
-        cover: share of each pixel in which the photograph hides the vehicles.
-        labels: boxes and other labels by whether masks were wanted; their images count for nothing.
+    `ground` holds photographs without vehicles, sRGB, not to be written over, `labels` boxes and
+    other labels by whether masks were wanted; their images count for nothing.
     """
 
     scenes: tuple[Scene, ...]
@@ -67,9 +65,7 @@ class GeometryBuffer:
 
 
 class GeometryBuffers:
-    """Buffers in a bounded memory; threads may share it. Many steps redraw scenes in other
-    textures.
-    """
+    """Buffers in a bounded memory, as many steps redraw scenes; threads may share it."""
 
     most_bytes = 400_000_000
 

@@ -76,14 +76,9 @@ def mean_luminance(kind: SkyType, sun_elevation_deg: int) -> float:
 
 @dataclass(frozen=True)
 class Lighting:
-    """The light on each of N vehicles, in units of a white matt surface on open ground.
+    """The light on each of N vehicles, as in `SceneLights`, and unit vectors to sun and camera.
 
-    Attributes:
-        sun, viewer: unit vectors towards sun and camera.
-        sky: share of the sky in the light on open ground, red, green, blue.
-        overcast: share of clouds in the sky's light.
-        sunlit: share of the direct sun that the photograph's shadows leave.
-        clear_mean: mean luminance of the clear sky.
+    `sunlit` is the share of the direct sun that the photograph's shadows leave.
     """
 
     sun: Float[Tensor, "N 3"]
@@ -98,11 +93,9 @@ class Lighting:
 class SceneLights:
     """How B pictures show light, linear and per channel.
 
-    Attributes:
-        white, black: shown values of a white matt surface in the open sun, and of no light.
-        shoulder: value from which the picture bends towards its brightest value.
-        sky: share of the sky in the light on open ground.
-        overcast: share of clouds in the sky's light.
+    `white` and `black` are the shown values of a white matt surface in the open sun, and of no
+    light. From `shoulder` on the picture bends towards its brightest value. `sky` is its share in
+    the light on open ground, `overcast` the share of clouds in the sky's light.
     """
 
     white: Float[Tensor, "B 3"]
@@ -211,12 +204,8 @@ def light(
     mirrored light does not reach the paint (Fresnel towards the viewer, as path tracers layer a
     coat).
 
-    Args:
-        normal: unit normals, world axes.
-        vehicle: row of `lighting` for each sample.
-        sunlit: share of the sun's light that its own vehicle lets through, per sample or one for
-            all.
-        gloss: columns of `gloss_table`, per sample or one for all.
+    Samples have unit normals, rows of `lighting`, and, alone or in common, the share of the sun's
+    light that their own vehicle lets through and columns of `gloss_table`.
     """
     # The sun's light across its rays, and the light that ground around sends back.
     direct = (1 - lighting.sky) * lighting.sunlit

@@ -54,9 +54,7 @@ class LinearTexture:
     def sample(
         self, uv: Float[Tensor, "2 K"], index: Int[Tensor, " K"], level: Int[Tensor, " K"]
     ) -> Float[Tensor, "3 K"]:
-        """Bilinear values at (u, v) of the textures `index` (section S4.3), circular in u, held in
-        v.
-        """
+        """Bilinear values at (u, v) of the textures `index` (S4.3), circular in u, held in v."""
         shapes = self._shapes
         level = level.clamp(shapes.finest, shapes.levels - 1)
         width, height = shapes.width >> level, shapes.height >> level

@@ -37,14 +37,10 @@ def windows_around(screen: Float[Tensor, "N V 2"]) -> Windows:
 @dataclass(frozen=True)
 class Placed:
     """The N placements of all scenes, scene by scene; differentiable in the vehicles' vertices.
-    World frame, metres, radians and image pixels.
 
-    Attributes:
-        viewer, sun: unit vectors towards camera and sun.
-        extent: lowest and highest x, y and z in the vehicle frame.
-        sunlit: share of the direct sun that the photograph's shadows leave.
-        depth, sun_depth: metres along the view and along the sun's rays; smaller is nearer.
-        shadow_screen: shadows of the vertices in image pixels.
+    World frame, metres, radians and image pixels; `extent` is in the vehicle frame. `viewer` and
+    `sun` point towards camera and sun, along whose rays depths are measured; smaller is nearer.
+    `sunlit` is the share of the direct sun that the photograph's shadows leave.
     """
 
     scene: Int[Tensor, " N"]
@@ -81,22 +77,11 @@ def place(scenes: Sequence[Scene], vehicles: VehicleBatch) -> Placed:
     vertices = rotate_about_vertical(like, heading) + ground[:, None]
     screen, depth = project(vertices, viewer, camera.gsd_m, camera.size_px)
     shadow_screen, sun_depth = project(vertices, sun, camera.gsd_m, camera.size_px)
-    return Placed(
-        scene,
-        vertices,
-        viewer,
-        sun,
-        ground,
-        heading,
-        torch.stack((vehicles.vertices.amin(1), vehicles.vertices.amax(1)), dim=1),
-        1 - like.new_tensor([placement.shade for placement in placements]),
-        screen,
-        depth,
-        shadow_screen,
-        sun_depth,
-        camera.gsd_m,
-        camera.size_px,
-    )
+    extent = torch.stack((like.amin(1), like.amax(1)), dim=1)
+    sunlit = 1 - like.new_tensor([placement.shade for placement in placements])
+    where = (scene, vertices, viewer, sun, ground, heading, extent, sunlit)
+    shown = (screen, depth, shadow_screen, sun_depth)
+    return Placed(*where, *shown, gsd_m=camera.gsd_m, size_px=camera.size_px)
 
 
 @torch.no_grad()
@@ -121,15 +106,13 @@ def label(
     masks: bool,
 ) -> Frames:
     """Adds boxes, centres, visible parts and, if wanted, masks to images of any renderer."""
+    size_px = placed.size_px
     seen = None if cover is None else cover[placed.scene, 0] < 0.5
-    visible_px, fraction, drawn = _visible(
-        visibility, window, supersampling, placed.size_px, seen, masks
-    )
-    boxes = torch.cat((placed.screen.amin(1), placed.screen.amax(1)), dim=1).clamp(
-        0, placed.size_px
-    )
+    visible_px, fraction, drawn = _visible(visibility, window, supersampling, size_px, seen, masks)
+    corners = (placed.screen.amin(1), placed.screen.amax(1))
+    boxes = torch.cat(corners, dim=1).clamp(0, size_px)
     extent = torch.stack((placed.vertices.amin(1), placed.vertices.amax(1)))
-    centres, _ = project(extent.mean(0)[:, None], placed.viewer, placed.gsd_m, placed.size_px)
+    centres, _ = project(extent.mean(0)[:, None], placed.viewer, placed.gsd_m, size_px)
     like = placed.vertices
     return Frames(
         image, placed.scene, boxes, centres[:, 0], visible_px.to(like), fraction.to(like), drawn

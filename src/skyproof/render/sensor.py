@@ -22,9 +22,8 @@ def blurred(
 ) -> Float[Tensor, "B C H W"]:
     """Returns parts of square pictures under their sensors' Gaussian blur, zero beyond their ends.
 
-    Args:
-        corner: top-left pixel (x, y) of each part, which may lie outside the picture.
-        shape: width and height of all parts.
+    A part is a top-left pixel (x, y), which may lie outside the picture, and the width and height
+    of all parts.
     """
     radius_px = max(sensor.blur_radius_px for sensor in sensors)
     size = pictures.shape[-1]
@@ -93,11 +92,7 @@ def sensor_noise(
     x: Int[Tensor, "B S"],
     like: Float[Tensor, "B 3 S S"],
 ) -> Float[Tensor, "B 3 S S"]:
-    """Returns unit noise on windows of images, tied to every scene's seed and to image pixels.
-
-    Args:
-        y, x: rows and columns of the image in each window.
-    """
+    """Returns unit noise on rows and columns of images, tied to each scene's seed and to pixels."""
     shape = (3, _NOISE_TILE_PX, _NOISE_TILE_PX)
     drawn = [torch.randn(shape, generator=torch.Generator().manual_seed(seed)) for seed in seeds]
     tiles = torch.stack(drawn).to(like).permute(0, 2, 3, 1)

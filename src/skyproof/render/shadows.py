@@ -31,11 +31,7 @@ _NEAR_LOSS = 0.9
 
 @dataclass(frozen=True)
 class SunView:
-    """Vehicles as the sun sees them, projected along its rays onto the ground: a shadow map.
-
-    Attributes:
-        samples: shadows of the vertices in samples of the windows.
-    """
+    """Vehicles as the sun sees them, projected along its rays onto the ground: a shadow map."""
 
     placed: Placed
     window: Windows
@@ -47,9 +43,7 @@ class SunView:
     def places(
         self, normals: Float[Tensor, "N V 3"], faces: Int[Tensor, "F 3"]
     ) -> Float[Tensor, "3 3 M"]:
-        """Gives column, row and depth along the sun's rays of all faces' corners, a little off the
-        surface.
-        """
+        """Gives column, row and depth along the sun's rays of all faces' corners, a little off."""
         placed = self.placed
         off = torch.add(placed.vertices, normals, alpha=_OFF_SURFACE_M)
         screen, depth = project(off, placed.sun, placed.gsd_m, placed.size_px)
@@ -60,8 +54,7 @@ class SunView:
     def reaches(
         self, place: Float[Tensor, "3 K"], vehicle: Int[Tensor, " K"]
     ) -> Float[Tensor, " K"]:
-        """Says which points, given between corners of `places`, the sun sees: 1, or 0 behind a
-        part.
+        """Says which points between corners of `places` the sun sees: 1, or 0 behind a part.
 
         After Williams (1978), with the points taken off the surface along their normals.
         """

@@ -19,11 +19,10 @@ class SilhouettePoints:
     midpoint rule.
 
     Attributes:
-        place: `[2, K]` points in samples.
-        vehicle, face: `[K]` front-facing triangle that ends at the edge.
-        weights: `[3, K]` barycentric weights of the point in that triangle.
-        outside: `[K]` flat index of the sample just outside the edge.
-        coverage: `[K]` zero in value; its derivative is the area in samples that the piece sweeps.
+        vehicle, face: front-facing triangle that ends at the edge.
+        weights: barycentric weights of the point in that triangle.
+        outside: flat index of the sample just outside the edge.
+        coverage: zero in value; its derivative is the area in samples that the piece sweeps.
     """
 
     place: Float[Tensor, "2 K"]

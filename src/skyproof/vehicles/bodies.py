@@ -97,14 +97,11 @@ def sample_dimensions(body_type: str, *, generator: torch.Generator) -> BodyDime
 
 @dataclass(frozen=True)
 class Body:
-    """One vehicle's surface, and the places that its painter needs.
+    """One vehicle's surface, and the places that its painter needs; metres, vehicle axes.
 
-    Attributes:
-        half: `[33, 17, 3]` metres, vehicle axes: nose pole, rings, tail pole by columns from the
-            middle of the underside up the left side to the middle of the roof.
-        station: `[33]` distance behind the nose of each ring's middle.
-        belt_z, rail_z, rail_y: `[33]` heights of shoulder and roof rail, half width at the roof
-            rail.
+    `half` holds nose pole, rings and tail pole by columns from the middle of the underside up the
+    left side to the middle of the roof, `station` how far behind the nose each ring's middle lies.
+    Then come the heights of shoulder and roof rail, and half the width at the roof rail.
     """
 
     dimensions: BodyDimensions

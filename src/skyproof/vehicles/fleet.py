@@ -208,9 +208,7 @@ def sample_fleet(
 ) -> Fleet:
     """Draws a fleet: body types by weight, then dimensions, paint and trim of each vehicle.
 
-    Args:
-        generator: on the CPU; the same state gives the same fleet, byte for byte.
-        progress: called with (vehicles done, vehicles in all).
+    The same state of the CPU generator gives the same fleet, byte for byte.
     """
     coats = _coats(settings, generator)
     types = list(settings.weights)

@@ -31,15 +31,9 @@ def paint_vehicle(
     glass: Float[Tensor, " 3"] | None = None,
     generator: torch.Generator,
 ) -> tuple[UInt8[Tensor, "3 512 512"], UInt8[Tensor, "512 512"]]:
-    """Paints one vehicle without light or shadow; labels are exactly symmetric.
+    """Paints one vehicle's sRGB without light or shadow; its labels are exactly symmetric.
 
-    Args:
-        body_type: decides trim, glass and the usual paints.
-        paint: sRGB in [0, 1] of the body panels; drawn if None, with the same other draws.
-        glass: sRGB of the panes; drawn if None.
-
-    Returns:
-        `[3, 512, 512]` sRGB bytes, and `[512, 512]` values of `Part`.
+    Colours of body panels and panes, sRGB in [0, 1], are drawn if None, with the same other draws.
     """
     _, drawn_paint = sample_paint(body_type, generator=generator)
     paint = drawn_paint if paint is None else paint

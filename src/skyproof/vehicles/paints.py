@@ -73,8 +73,7 @@ def sample_paint(body_type: str, *, generator: torch.Generator) -> tuple[str, Fl
 def varied_colours(
     count: int, *, muted: float = 0.5, generator: torch.Generator
 ) -> Float[Tensor, "count 3"]:
-    """Draws sRGB colours in [0.03, 0.97] of all kinds, a part of them `muted`, as primer and dust
-    are.
+    """Draws sRGB colours of all kinds, a part of them `muted`, as primer and dust are.
 
     Hardly a hundredth of CIELAB is nearly grey, and detectors trained on it alone lost vehicles in
     one grey or beige (docs/results/detectors). Muted colours keep a part u ** 2 of their chroma, u

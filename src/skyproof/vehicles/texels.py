@@ -24,9 +24,7 @@ def texel_metric(
 
     Lengths take each template cell as bilinear. The area of its two triangles is shared out evenly,
     so texels add up to the mesh's area. A pole's cells are quads with one side shrunk to the pole.
-
-    Returns:
-        Metres across (u), metres along (v) and square metres, on the CPU.
+    Metres and square metres, on the CPU.
     """
     vertices = vehicles.vertices.detach().double().cpu()
     grid = _grid(vertices)

@@ -16,13 +16,10 @@ _DARK_CABIN = 0.08  # what is seen through a transparent window
 
 @dataclass(frozen=True)
 class Material:
-    """The look of some triangles.
+    """The look of some triangles; colours are sRGB in [0, 1], row 0 of the picture is on top.
 
-    Attributes:
-        colour: sRGB in [0, 1] without texture and vertex colours.
-        picture: `[H, W, 3 or 4]` bytes, row 0 on top.
-        plain: whether `colour` is a stand-in, because the file gives none.
-        tint: sRGB factor of the picture's light.
+    A `plain` colour is a stand-in, because the file gives none. The picture's light is multiplied
+    by the `tint`.
     """
 
     name: str
@@ -38,10 +35,10 @@ class SourceMesh:
     """The triangles of all objects of a file.
 
     Attributes:
-        corners: `[F, 3, 3]`, in the file's axes and unit until it is oriented.
-        uvs: `[F, 3, 2]`, v from the bottom of the picture, which repeats outside [0, 1].
-        colours: `[F, 3, 3]` sRGB at the corners; NaN if a texture or a material gives the colour.
-        up: upward axis of the format, or None.
+        corners: in the file's axes and unit until it is oriented.
+        uvs: v from the bottom of the picture, which repeats outside [0, 1].
+        colours: sRGB at the corners; NaN if a texture or a material gives the colour.
+        up: upward axis of the format.
         notes: repairs and assumptions while reading, one sentence each.
     """
 

@@ -27,19 +27,13 @@ def orient(
 ) -> tuple[SourceMesh, dict[str, str | float]]:
     """Turns, scales and moves a mesh.
 
-    Missing values come from the format or a guess: forward is the longest axis but up, up the one
-    of the other two without symmetry, pointing along its positive direction. `_nose_is_first` finds
-    the nose.
-
-    Args:
-        scale: metres per unit; the default is 1.
-        up, forward: two of `AXES`; the nose points forward.
+    The scale is in metres per unit, 1 by default. `up` and `forward`, where the nose points, are of
+    `AXES`. Missing ones come from the format or a guess: forward is the longest axis but up, up
+    the one of the other two without symmetry, pointing along its positive direction.
+    `_nose_is_first` finds the nose.
 
     Returns:
         The mesh in the vehicle's axes, and {"scale", "up", "forward", "nose": how it was found}.
-
-    Raises:
-        ConfigurationError: the axes do not fit together, or the mesh has not a vehicle's size.
     """
     points = mesh.corners.reshape(-1, 3)
     extent = np.ptp(points, axis=0)

@@ -68,12 +68,8 @@ def label_parts(
     low at an end, else trim. 5. Without a mask, a greyish area of another colour than the paint at
     window height is glass, too.
 
-    Args:
-        plain: texels without a colour in the file.
-        masked: whether `texels.alpha` is a paint mask.
-
-    Returns:
-        Labels, the share of texels that each rule decided, and notes.
+    `plain` texels have no colour in the file. `masked` says whether their alpha is a paint mask.
+    The second result is the share of texels that each rule decided.
     """
     said = [Part.GLASS if m.opacity < 0.5 else name_part(m.name) for m in mesh.materials]
     named = np.array([-1 if part is None else part for part in said])[mesh.material[texels.face]]

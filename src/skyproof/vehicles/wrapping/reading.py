@@ -145,9 +145,6 @@ def read_mesh(path: Path) -> SourceMesh:
     """Reads OBJ, GLB, glTF, PLY, STL or OFF; all objects of a scene become one.
 
     Nothing in the file runs, and of other files only those that `find_texture` finds are read.
-
-    Raises:
-        ConfigurationError: the file is missing, unreadable, too large, or has no triangles.
     """
     path = Path(path)
     if not path.is_file():

@@ -19,17 +19,16 @@ _CLEAR_M = 0.4
 
 @dataclass(frozen=True)
 class Hull:
-    """The smoothed outer surface as height fields over square cells.
+    """The smoothed outer surface as height fields over square cells, metres.
 
     Cell `[i, j]` has its centre at `start + (i + 0.5, j + 0.5) * cell` on its two axes.
 
     Attributes:
-        start: x, y, z of the cells' first corner, metres, like `cell`.
-        top: `[X, Y]` height seen from above; -inf without surface.
-        sides: `[2, X, Z]` distance from y = 0 seen from left and right; 0 without surface.
-        front, rear: `[Y, Z]` x seen from the front and from behind; NaN without surface.
-        low: `[X]` lower edge seen from the side: tyres, sills, bumpers.
-        floor: `[X]` height of the underside between the wheels.
+        top: height seen from above; -inf without surface.
+        sides: distance from y = 0 seen from left and right; 0 without surface.
+        front, rear: x seen from the front and from behind; NaN without surface.
+        low: lower edge seen from the side: tyres, sills, bumpers.
+        floor: height of the underside between the wheels.
     """
 
     cell: float
@@ -174,11 +173,8 @@ def _between(
 class Sections:
     """Outlines of the hull in planes across the long axis, around a point in y = 0.
 
-    Attributes:
-        station: `[S]` x of the planes, ascending, metres.
-        axis_z: `[S]` height of the directions' origin.
-        radius: `[S, 360]` distance to the hull; direction i points at `-90 + i` degrees: down (0),
-            left (90), up (180), right (270).
+    `station` is x of the planes, ascending, `axis_z` the height of the directions' origin, `radius`
+    the distance to the hull. Direction i points at `-90 + i` degrees: down (0), left (90), up.
     """
 
     station: Float[np.ndarray, " S"]

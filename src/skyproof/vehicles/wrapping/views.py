@@ -66,12 +66,9 @@ def parallel_view(
 
 @dataclass(frozen=True)
 class Outer:
-    """Points that are seen from outside.
+    """Points that are seen from outside, and how many triangles are, of which some are inverted.
 
-    Attributes:
-        normals: `[N, 3]` unit, of their triangle, towards the view.
-        below: `[N]` whether only the view from straight below sees it.
-        inverted, seen: number of triangles seen from their inside, and of all seen.
+    Normals are those of their triangles, towards the view; a point may be seen only from `below`.
     """
 
     points: Float[np.ndarray, "N 3"]

@@ -29,11 +29,7 @@ _EVERY = 5  # points are dense enough for one in five
 
 @dataclass(frozen=True)
 class WrappedVehicle:
-    """One mesh, oriented, and what it is on the template.
-
-    Attributes:
-        report: orientation, fit (`_measure_fit`), labels, and notes on repairs.
-    """
+    """One mesh, oriented, on the template; the report is on axes, fit, labels and repairs."""
 
     mesh: SourceMesh
     vertices: Float[Tensor, "994 3"]
