@@ -111,6 +111,7 @@ def test_digest_sees_parameters_and_buffers(stored: Path) -> None:
         ({"brought": {"kind": "torchvision"}}, "brought: the field architecture is missing"),
         ({"thresold": 0.5}, "no field 'thresold'"),
         ({"weights_sha256": "0"}, "not the file"),
+        ({"weights_sha256": ""}, "lacks the weights_sha256"),
     ],
 )
 def test_other_contents_of_detector_json(folder: Path, change: dict, message: str) -> None:

@@ -26,8 +26,8 @@ class CamouflageAugmentation:
     """Renders the vehicles of rendered images again, camouflaged, and labels them anew.
 
     It lays no patch over pixels: it renders the scene from its vehicles, light and ground, with the
-    settings of the dataset. So it only accepts datasets that skyproof rendered. Its metadata hold
-    the camouflage's name as `id`.
+    settings of the dataset, which must be one that skyproof rendered. `id` is the camouflage's
+    name.
 
     Args:
         camouflage: a camouflage or its folder.

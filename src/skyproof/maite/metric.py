@@ -13,7 +13,7 @@ from skyproof.errors import ConfigurationError
 from skyproof.maite.datasets import batches
 from skyproof.maite.models import found_vehicles
 from skyproof.results.pairs.counts import Cell, count_pairs
-from skyproof.results.rows_file import nulls_for_undefined
+from skyproof.results.rows_file import interval_columns, nulls_for_undefined
 from skyproof.results.statistics.contrasts import Group, mean_interval
 from skyproof.results.statistics.intervals import Sample
 from skyproof.results.statistics.rates import attack_success_rate, enhancement_rate
@@ -156,11 +156,10 @@ class HiddenVehicles:
         if not both + lost:
             return {**dict.fromkeys(_RATES), **told}
         group = Group(counts, Sample.draw(cells, generator=numpy_generator(0)))
-        easr = mean_interval(group)
         asr = mean_interval(group, rate=attack_success_rate, limits=(0.0, 1.0))
-        er = float(enhancement_rate(counts.sum(1)[0]))
-        rates = (easr.estimate, easr.low, easr.high, asr.estimate, asr.low, asr.high, er)
-        return {**nulls_for_undefined(dict(zip(_RATES, rates, strict=True))), **told}
+        rates = interval_columns("easr", mean_interval(group)) | interval_columns("asr", asr)
+        rates["er"] = float(enhancement_rate(counts.sum(1)[0]))
+        return {**nulls_for_undefined(rates), **told}
 
     def _found(
         self,

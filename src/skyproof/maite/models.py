@@ -25,16 +25,11 @@ class DetectorModel:
     """A detector of ours as a MAITE object-detection model.
 
     Detections below the threshold are returned, too, so that MAITE's metrics see the whole curve.
-
-    Args:
-        detector: a detector folder, or a result of `load_detector`.
+    The detector is a folder, or a result of `load_detector`.
 
     Attributes:
         metadata: `id`, the name and the first digits of a digest of weights and threshold, because
             tools file results under it; `index2label`; and our additions `threshold` and `gsd_m`.
-
-    Raises:
-        StoredFileError: the folder is missing or damaged.
     """
 
     def __init__(self, detector: str | Path | Detector) -> None:
