@@ -10,6 +10,7 @@ from skyproof.assessment.answers import say_answers, say_expected, say_verdict
 from skyproof.assessment.attacking import attacks, controls, scored
 from skyproof.assessment.command import Request
 from skyproof.assessment.judging import enough_ground, precheck, report, score
+from skyproof.assessment.look import look_at
 from skyproof.assessment.planning import plan_words
 from skyproof.assessment.preparing import fleets, prepare, rendered, scenes
 from skyproof.assessment.run import SOURCES, Run, Step
@@ -79,9 +80,10 @@ def run_assessment(
     run = Run(request.out, config, [*assess_steps(its)])
     if request.cycles:
         find_blender(request.blender)
+    seen = look_at(its).sentences if not request.out.exists() else ()
     with run.begun(str(its.device)):
         say(f"skyproof, {', '.join(its.names)} on {its.device}, run folder {request.out}")
-        for sentence in _limits(its):
+        for sentence in (*seen, *_limits(its)):
             say(f"  note: {sentence}")
         run.do()
     say_answers(its.layout, its.suite.attacks)
@@ -94,9 +96,10 @@ def run_assessment(
 
 
 def plan_assessment(request: Request, suite_file: Path = SUITE) -> None:
-    """Prints the size of the test, the size it needs, and the time; writes nothing."""
+    """Prints what the imagery holds, the size of the test and the time; writes nothing."""
     its = subject_of(request, read_suite(suite_file), None)
-    for line in plan_words(its, [*assess_steps(its)]):
+    look = look_at(its)
+    for line in (*look.sentences, *plan_words(its, look.test_tiles, [*assess_steps(its)])):
         say(line)
 
 
@@ -118,6 +121,7 @@ def assess(
     consumer_risk: float = 0.05,
     cycles: bool = False,
     blender: str | Path | None = None,
+    go_on: bool = False,
     seed: int = 0,
     device: str = "auto",
 ) -> Path:
@@ -147,6 +151,7 @@ def assess(
         consumer_risk: largest chance that a detector at `reject` is accepted.
         cycles: render the test scenes with Blender Cycles, too.
         blender: a Blender 4.5 executable, or a Python that has bpy 4.5.
+        go_on: whether to go on though labelled vehicles have an impossible length.
         seed: seed of everything that is drawn.
         device: "auto", "cpu" or "cuda".
 
@@ -182,6 +187,7 @@ def assess(
         consumer_risk=consumer_risk,
         cycles=cycles,
         blender=None if blender is None else Path(blender),
+        go_on=go_on,
         seed=seed,
         device=device,
     )

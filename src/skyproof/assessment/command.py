@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from skyproof.results.statistics.acceptance import Requirement
 
 _Class = Annotated[str, Meta(max_length=200)]
-_UNDECIDED = ("out", "device", "cycles", "blender")
+_UNDECIDED = ("out", "device", "cycles", "blender", "go_on")
 """Where a run is computed, or what is added to it, changes none of its results."""
 
 
@@ -51,6 +51,7 @@ class Request:
         cycles: render the test scenes with Blender Cycles, too, also after a finished run.
         blender: Blender 4.5, or a Python with bpy 4.5 (default: of `make blender`, then of the
             PATH).
+        go_on: go on though labelled vehicles have an impossible length.
         seed: seed of everything that is drawn.
         device: auto, cpu or cuda.
     """
@@ -70,6 +71,7 @@ class Request:
     consumer_risk: Risk = 0.05
     cycles: bool = False
     blender: Path | None = None
+    go_on: bool = False
     seed: Seed = 0
     device: str = "auto"
 

@@ -5,12 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-from skyproof.assessment.preparing import tiling_of
 from skyproof.assessment.run import Step, duration
 from skyproof.assessment.subject import Subject
-from skyproof.imagery.settings import SourceSettings
-from skyproof.imagery.tiles.grid import cells_of, lay_grids
-from skyproof.imagery.tiles.sources import SourceReader, find_images, inspect_source
 from skyproof.results.statistics.acceptance import fewest_tiles
 from skyproof.results.statistics.planning import (
     Assumptions,
@@ -29,10 +25,9 @@ _CORRELATION = 0.1
 _HALF_WIDTH = 0.05
 
 
-def plan_words(its: Subject, steps: Sequence[Step]) -> Iterator[str]:
-    """Tells the size of the test, the size it needs, and the estimated time."""
+def plan_words(its: Subject, tiles: int, steps: Sequence[Step]) -> Iterator[str]:
+    """Tells the size of a test on at most so many tiles, the size it needs, and the time."""
     scenes = its.suite.test_images
-    tiles = _test_tiles(its)
     # Scenes fall on tiles at random, so that some tiles are seen twice and some never.
     shown = max(1, round(tiles * (1 - (1 - 1 / max(tiles, 1)) ** scenes)))
     each = max(_VEHICLES * scenes / shown, 1.0)
@@ -60,17 +55,3 @@ def plan_words(its: Subject, steps: Sequence[Step]) -> Iterator[str]:
         )
     effort_s = math.fsum(step.effort_s for step in steps)
     yield f"Time: {len(steps)} steps, about {duration(effort_s)} on one CPU core."
-
-
-def _test_tiles(its: Subject) -> int:
-    """Test tiles that are drawn, or that the imagery holds at most."""
-    if not its.request.imagery:
-        return its.suite.tiles[3]
-    tiling = tiling_of(its)
-    given = SourceSettings(gsd_m=its.request.gsd)
-    with SourceReader() as reader:
-        files = find_images(its.request.imagery)
-        sources = [inspect_source(path, given, reader) for path in files]
-        grids = lay_grids(sources, tiling, notes=[])
-    cells = sum(len(cells_of(grid)) for grid in grids)
-    return max(1, round(cells * tiling.shares[3]))

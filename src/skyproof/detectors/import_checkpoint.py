@@ -97,28 +97,7 @@ def import_detector(
             f"--gsd {gsd_m:g} is out of reason for images of {validation.gsd_m:g} m per pixel; "
             "give what the detector was made for."
         )
-    read = {"torchvision": _torchvision, "ultralytics": _ultralytics}.get(checkpoint.kind)
-    if read is None:
-        raise ConfigurationError(
-            f"a checkpoint is of torchvision or of ultralytics, not of {checkpoint.kind!r}."
-        )
-    network = network_of(read_checkpoint(checkpoint.path))
-    state = state_of(network)
-    if not state:
-        raise StoredFileError(
-            f"{checkpoint.path} holds no weights; give a checkpoint with a network or a state dict."
-        )
-    broken = next((name for name, value in state.items() if not value.isfinite().all()), None)
-    if broken is not None:
-        raise StoredFileError(
-            f"{checkpoint.path} holds weights that are not finite ({broken[:100]}); give a "
-            "checkpoint from before its training broke."
-        )
-    digest = file_digest(checkpoint.path)
-    architecture, classes, vehicles, eps = read(checkpoint, network, state, digest)
-    blueprint = Blueprint(
-        checkpoint.kind, architecture, classes, vehicles, scale, eps, checkpoint.path.name, digest
-    )
+    blueprint, state = read_blueprint(checkpoint, scale)
     try:
         detector = ImportedDetector(name, blueprint)
     except ConfigurationError as error:
@@ -141,6 +120,35 @@ def import_detector(
     with finished_folder(folder) as partial:
         save_detector(partial, detector, card)
     return card
+
+
+def read_blueprint(checkpoint: Checkpoint, scale: float) -> tuple[Blueprint, dict[str, Tensor]]:
+    """Reads a checkpoint's architecture, vehicle classes and weights, with the errors of an import.
+
+    `scale` is the number of its pixels per pixel of the images.
+    """
+    read = {"torchvision": _torchvision, "ultralytics": _ultralytics}.get(checkpoint.kind)
+    if read is None:
+        raise ConfigurationError(
+            f"a checkpoint is of torchvision or of ultralytics, not of {checkpoint.kind!r}."
+        )
+    network = network_of(read_checkpoint(checkpoint.path))
+    state = state_of(network)
+    if not state:
+        raise StoredFileError(
+            f"{checkpoint.path} holds no weights; give a checkpoint with a network or a state dict."
+        )
+    broken = next((name for name, value in state.items() if not value.isfinite().all()), None)
+    if broken is not None:
+        raise StoredFileError(
+            f"{checkpoint.path} holds weights that are not finite ({broken[:100]}); give a "
+            "checkpoint from before its training broke."
+        )
+    digest = file_digest(checkpoint.path)
+    architecture, classes, vehicles, eps = read(checkpoint, network, state, digest)
+    name = checkpoint.path.name
+    kind = checkpoint.kind
+    return Blueprint(kind, architecture, classes, vehicles, scale, eps, name, digest), state
 
 
 def _torchvision(

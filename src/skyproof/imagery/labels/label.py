@@ -46,6 +46,11 @@ class Label:
         return min(xs), min(ys), max(xs), max(ys)
 
     @property
+    def length(self) -> float:
+        """Its longest side."""
+        return max(map(math.dist, self.corners, (*self.corners[1:], self.corners[0])))
+
+    @property
     def middle(self) -> Point:
         """The middle of its bounds."""
         left, top, right, bottom = self.bounds

@@ -66,7 +66,7 @@ class PlacedLabels:
         sources: Sequence[Source],
         cells: Sequence[Cell],
     ) -> None:
-        self._classes = _vehicle_classes(labels, settings)
+        self._classes = vehicle_classes(labels, settings)
         self._settings, self._sources = settings, sources
         self._bins: dict[tuple[str, int, int], list[_Placed]] = defaultdict(list)
         self._planes: dict[str, _Plane] = {}
@@ -255,7 +255,8 @@ def _bins(low_m: float, high_m: float) -> range:
     return range(math.floor(low_m / BIN_M), math.floor(high_m / BIN_M) + 1)
 
 
-def _vehicle_classes(labels: Labels, settings: LabelSettings) -> tuple[str, ...]:
+def vehicle_classes(labels: Labels, settings: LabelSettings) -> tuple[str, ...]:
+    """Returns the classes that are vehicles; with several classes a choice is needed."""
     if settings.classes:
         require_classes(labels, settings.classes, str(settings.path))
         return settings.classes

@@ -1,0 +1,162 @@
+"""A look at imagery and labels before any work: a mistake costs seconds then, and not an hour."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from statistics import median
+
+from skyproof.assessment.preparing import tiling_of
+from skyproof.assessment.subject import Subject
+from skyproof.detectors.import_checkpoint import Checkpoint, read_blueprint
+from skyproof.errors import ImageryError
+from skyproof.imagery.labels.files import read_labels
+from skyproof.imagery.labels.label import GroundLabels, Labels
+from skyproof.imagery.settings import LabelSettings, SourceSettings
+from skyproof.imagery.tiles.georeference import system_of, to_reference_system
+from skyproof.imagery.tiles.grid import Grid, cells_of, lay_grids
+from skyproof.imagery.tiles.placed_labels import vehicle_classes
+from skyproof.imagery.tiles.sources import Source, SourceReader, find_images, inspect_source
+from skyproof.results.statistics.acceptance import fewest_tiles
+from skyproof.words import percent
+
+_LENGTHS_M = (3.0, 7.0)
+"""Median lengths of labelled vehicles that a right resolution may give: cars are 4.5 m long."""
+
+_FEW = 5
+"""Labels from which a median is taken seriously."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """What the imagery holds, at most: the number of test tiles, and sentences for the user."""
+
+    test_tiles: int
+    sentences: tuple[str, ...] = ()
+
+
+def look_at(its: Subject) -> Look:
+    """Reads what imagery, labels and checkpoint say of themselves.
+
+    Raises:
+        ImageryError: no tile fits, labelled vehicles have an impossible length, or the test tiles
+            cannot bear the requirement.
+        ConfigurationError: a class does not exist.
+        StoredFileError: the checkpoint cannot be read.
+    """
+    request = its.request
+    if request.vehicle_classes and its.black_box is None:
+        kind = "torchvision" if request.architecture else "ultralytics"
+        place, classes = request.detectors[0], request.vehicle_classes
+        read_blueprint(Checkpoint(place, kind, classes, request.architecture), 1.0)
+    if not request.imagery:
+        return Look(its.suite.tiles[3])
+    tiling = tiling_of(its)
+    notes: list[str] = []
+    with SourceReader() as reader:
+        files = find_images(request.imagery)
+        given = SourceSettings(gsd_m=request.gsd)
+        sources = [inspect_source(path, given, reader) for path in files]
+    grids = lay_grids(sources, tiling, notes)
+    tiles = sum(len(cells_of(grid)) for grid in grids)
+    test_tiles = max(1, round(tiles * tiling.shares[3]))
+    sentences = [_imagery(sources, grids, tiles), *_equal_notes(sources, notes)]
+    if request.labels is not None:
+        settings = LabelSettings(request.labels, request.label_classes)
+        sentences.append(_labels(read_labels(request.labels), settings, sources, grids, its))
+    if request.requirement is not None:
+        needed = fewest_tiles(request.requirement.reject, request.requirement.consumer_risk)
+        if test_tiles < needed:
+            raise ImageryError(
+                f"The imagery holds at most {test_tiles} test tiles, and on fewer than {needed} no "
+                f"detector can be accepted at {percent(request.requirement.reject)} with these "
+                "risks, not even one that loses nothing; give more imagery, or leave out --accept "
+                "and --reject."
+            )
+    return Look(test_tiles, tuple(sentences))
+
+
+def _imagery(sources: Sequence[Source], grids: Sequence[Grid], tiles: int) -> str:
+    sides_m = [
+        (source.width_px * gsd[0], source.height_px * gsd[1])
+        for source in sources
+        for gsd in [source.georeference.gsd_m]
+    ]
+    finest, coarsest = (
+        100 * choose(math.hypot(*source.georeference.gsd_m) / math.sqrt(2) for source in sources)
+        for choose in (min, max)
+    )
+    placed = sum(source.georeference.crs is not None for source in sources)
+    widths, heights = zip(*sides_m, strict=True)
+    sides = {round(grid.side_m) for grid in grids}
+    used = tiles * grids[0].side_m ** 2 / max(sum(w * h for w, h in sides_m), 1e-9)
+    return (
+        f"{len(sources)} images of {_span(min(widths), max(widths))} x "
+        f"{_span(min(heights), max(heights))} m at {_span(finest, coarsest, 1)} cm per pixel, "
+        f"{placed} of them on a map: about {tiles:,} tiles of {_span(min(sides), max(sides))} m, "
+        f"which cover {percent(min(used, 1.0))} of them"
+    )
+
+
+def _span(low: float, high: float, digits: int = 0) -> str:
+    first, last = f"{low:.{digits}f}", f"{high:.{digits}f}"
+    return first if first == last else f"{first} to {last}"
+
+
+def _equal_notes(sources: Sequence[Source], notes: Sequence[str]) -> Iterator[str]:
+    """Tells equal notes on many images once."""
+    counts = Counter(note for source in sources for note in source.notes)
+    for note, count in counts.items():
+        yield f"{count} of {len(sources)} images: {note}"
+    if notes:
+        yield notes[0] if len(notes) == 1 else f"{notes[0]}, and so are {len(notes) - 1} others"
+
+
+def _labels(
+    labels: Labels,
+    settings: LabelSettings,
+    sources: Sequence[Source],
+    grids: Sequence[Grid],
+    its: Subject,
+) -> str:
+    """Tells number and length of the labelled vehicles, and refuses impossible lengths."""
+    classes = vehicle_classes(labels, settings)
+    lengths_m, count = _lengths_m(labels, classes, sources, grids)
+    told = f"{count:,} labelled vehicles"
+    if len(lengths_m) < _FEW:
+        return told
+    middle_m = median(lengths_m)
+    if not _LENGTHS_M[0] <= middle_m <= _LENGTHS_M[1] and not its.request.go_on:
+        raise ImageryError(
+            f"The median labelled vehicle is {middle_m:.1f} m long, and cars are {_LENGTHS_M[0]:g} "
+            f"to {_LENGTHS_M[1]:g} m: correct --gsd or --label-classes, or insist with --go-on."
+        )
+    return f"{told}, the median is {middle_m:.1f} m long (a car is about 4.5 m)"
+
+
+def _lengths_m(
+    labels: Labels, classes: Sequence[str], sources: Sequence[Source], grids: Sequence[Grid]
+) -> tuple[list[float], int]:
+    """Gives the lengths of labelled vehicles that are more than points, and the number of all."""
+    lengths_m: list[float] = []
+    count = 0
+    if isinstance(labels, GroundLabels):
+        wanted = [label for label in labels.labels if label.class_name in classes]
+        grid = next((grid for grid in grids if grid.crs is not None), None)
+        if grid is not None:
+            system = system_of(labels.crs, "the labels")
+            corners = [corner for label in wanted for corner in label.corners]
+            moved = iter(to_reference_system(system, grid.crs, corners))
+            wanted = [label.moved([next(moved) for _ in label.corners]) for label in wanted]
+            lengths_m = [label.length for label in wanted if len(label.corners) > 1]
+        return [length for length in lengths_m if math.isfinite(length)], len(wanted)
+    for source in sources:
+        scale_m = math.sqrt(math.prod(source.georeference.gsd_m))
+        for label in labels.images.get(source.path.stem, ()):
+            if label.class_name in classes and not label.ignore:
+                count += 1
+                if len(label.corners) > 1:
+                    lengths_m.append(label.length * scale_m)
+    return lengths_m, count

@@ -1,0 +1,77 @@
+"""`assess` looks at imagery, labels and checkpoint before it makes anything."""
+
+import pytest
+import torch
+from PIL import Image
+
+from skyproof.results.statistics.acceptance import fewest_tiles
+from tests.cli.conftest import Skyproof
+from tests.imagery.made import noise
+
+CAR_PX = (36, 15)
+"""4.5 x 1.9 m at 12.5 cm per pixel."""
+
+
+@pytest.fixture
+def photographs(tmp_path):
+    """Four photographs of 75 x 75 m at 12.5 cm per pixel with ten cars and a bus each."""
+    folder = tmp_path / "photographs"
+    folder.mkdir()
+    (folder / "town.names").write_text("car\nbus\n")
+    for number in range(4):
+        Image.fromarray(noise(600, 600).transpose(1, 2, 0)).save(folder / f"{number}.png")
+        lines = [
+            f"0 {0.05 + 0.09 * place} 0.3 {CAR_PX[place % 2] / 600} {CAR_PX[1 - place % 2] / 600}"
+            for place in range(10)
+        ]
+        (folder / f"{number}.txt").write_text("\n".join([*lines, "1 0.5 0.6 0.16 0.04"]))
+    return folder
+
+
+@pytest.fixture
+def call(photographs, tmp_path):
+    labels = ["--labels", photographs, "--label-classes", "car"]
+    return ["assess", "retinanet", "--imagery", photographs, *labels, "--out", tmp_path / "run"]
+
+
+def test_a_plan_says_what_the_imagery_holds(call, tmp_path, skyproof: Skyproof):
+    answer = skyproof(*call, "--gsd", 0.125, "--plan")
+    assert answer.code == 0, answer.err
+    first, second, *_ = answer.out.splitlines()
+    assert first.startswith("4 images of 75 x 75 m at 12.5 cm per pixel, 0 of them on a map: about")
+    assert second == "40 labelled vehicles, the median is 4.5 m long (a car is about 4.5 m)"
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(("gsd_m", "length_m"), [(0.25, "9.0"), (0.06, "2.2")])
+def test_a_wrong_resolution_is_seen_by_the_length_of_cars(
+    call, tmp_path, skyproof: Skyproof, gsd_m, length_m
+):
+    skyproof(*call, "--gsd", gsd_m).refused(f"is {length_m} m long", "correct --gsd", "--go-on")
+    assert not (tmp_path / "run").exists()
+    assert skyproof(*call, "--gsd", gsd_m, "--go-on", "--plan").code == 0
+
+
+def test_too_few_tiles_for_the_requirement_are_seen_at_once(
+    photographs, tmp_path, skyproof: Skyproof
+):
+    reject = next(each / 100 for each in range(99, 0, -1) if fewest_tiles(each / 100, 0.05) == 5)
+    call = ["assess", "retinanet", "--imagery", photographs / "0.png", "--gsd", 0.125]
+    risk = ["--accept", 0.01, "--reject", reject, "--out", tmp_path / "run"]
+    skyproof(*call, *risk).refused("holds at most", "on fewer than 5 no detector can be accepted")
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_class_that_the_checkpoint_lacks_is_seen_at_once(
+    call, tmp_path, photographs, skyproof: Skyproof
+):
+    from torchvision.models.detection import fasterrcnn_mobilenet_v3_large_320_fpn
+
+    network = fasterrcnn_mobilenet_v3_large_320_fpn(
+        weights=None, weights_backbone=None, num_classes=3
+    )
+    torch.save(network.state_dict(), tmp_path / "best.pt")
+    architecture = ["--architecture", "fasterrcnn_mobilenet_v3_large_320_fpn", "--gsd", 0.125]
+    words = [*call[2:], *architecture, "--vehicle-classes", 3]
+    skyproof("assess", tmp_path / "best.pt", *words).refused("label numbers from 1 to 2", "got 3")
+    assert not (tmp_path / "run").exists()
