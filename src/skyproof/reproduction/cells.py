@@ -40,9 +40,9 @@ class Table:
         """Writes comma-separated values, numbers to four decimals, "–" where undefined."""
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(self.columns)
-        for row in self.rows:
-            writer.writerow([_plain(row.get(column)) for column in self.columns])
+        columns = self.columns
+        writer.writerow(columns)
+        writer.writerows([_plain(row.get(column)) for column in columns] for row in self.rows)
         return text.getvalue()
 
 
@@ -147,19 +147,15 @@ def as_markdown(blocks: Sequence[Block]) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def bracket(row: Mapping[str, Any], key: str, *, digits: int = 1) -> str:
-    """Writes a value with its interval, which is in the columns `<key>_low` and `<key>_high`."""
-    low = row.get(f"{key}_low")
-    high = row.get(f"{key}_high")
-    known = low is not None and high is not None and not (low != low or high != high)
-    return number(row.get(key), digits) + (
-        f" ({number(low, digits)} to {number(high, digits)})" if known else ""
-    )
-
-
 def rate(key: str, digits: int = 1) -> Cell:
-    """Shows a column's value with its interval."""
-    return lambda row: bracket(row, key, digits=digits)
+    """Shows a column's value with its interval, of the columns `<key>_low` and `<key>_high`."""
+
+    def cell(row: Mapping[str, Any]) -> str:
+        limits = [number(row.get(f"{key}_{end}"), digits) for end in ("low", "high")]
+        known = number(None) not in limits
+        return number(row.get(key), digits) + (f" ({' to '.join(limits)})" if known else "")
+
+    return cell
 
 
 def value(key: str, digits: int = 1) -> Cell:
@@ -199,5 +195,5 @@ def _plain(value: Any) -> str:
     if value is None or value != value:
         return "–"
     if isinstance(value, bool):
-        return "yes" if value else "no"
+        return word(value)
     return f"{value:.4f}".rstrip("0").rstrip(".") if isinstance(value, float) else str(value)

@@ -19,7 +19,6 @@ from skyproof.reproduction.cells import (
     Heading,
     TextTable,
     Topic,
-    bracket,
     detector_of,
     interval_cells,
     number,
@@ -204,7 +203,7 @@ def _grid(detectors: Sequence[str], hidden: Sequence[Mapping[str, Any]], prefix:
         first, *others = rates.values()
         header += [f"{detector_name(detector)}: {first}", *others]
     rows = [
-        [name, *(bracket(cells[name, detector], key) for detector in detectors for key in rates)]
+        [name, *(rate(key)(cells[name, detector]) for detector in detectors for key in rates)]
         for name in names
     ]
     return TextTable(header, rows)

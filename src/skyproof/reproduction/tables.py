@@ -13,7 +13,6 @@ from skyproof.reproduction.cells import (
     Table,
     TextTable,
     Topic,
-    bracket,
     in_percent,
     interval_cells,
     number,
@@ -137,7 +136,8 @@ def _magnitude(key: str) -> Cell:
 
 def _cycles(key: str) -> Cell:
     def cell(row: Mapping[str, Any]) -> str:
-        return bracket(row, key) + (ALONE if row[key] is not None and alone_on_cycles(row) else "")
+        alone = row[key] is not None and alone_on_cycles(row)
+        return rate(key)(row) + (ALONE if alone else "")
 
     return cell
 
