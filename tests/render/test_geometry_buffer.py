@@ -12,8 +12,7 @@ from skyproof.camouflage.make import make_camouflage
 from skyproof.camouflage.paint import plain_paint
 from skyproof.render import renderer as module
 from skyproof.render.frames import Frames
-from skyproof.render.geometry_buffer import GeometryBuffers
-from skyproof.render.renderer import TorchRenderer
+from skyproof.render.renderer import GeometryBuffers, TorchRenderer
 from skyproof.scenes.scene import Scene
 from skyproof.scenes.weather import Weather
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet

@@ -16,7 +16,7 @@ from skyproof.cycles.jobs import crop_jobs, crop_windows
 from skyproof.cycles.settings import CyclesSettings, Rendering
 from skyproof.cycles.workers import Workers, open_workers
 from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
-from skyproof.render.cover import covers, hidden
+from skyproof.render.composite import covers, hidden
 from skyproof.render.frames import Frames, Renderer
 from skyproof.render.lighting import SceneLights, scene_lights
 from skyproof.render.placed import label, nothing_placed, place, visible_samples

@@ -59,11 +59,7 @@ class Stage:
         self.scene.camera = self.camera
 
     def render(self, job: dict[str, Any], arrays: dict[str, np.ndarray]) -> np.ndarray:
-        """Returns one crop, `[H, W, 7]`.
-
-        It holds linear colour times coverage, coverage, and the ground's light over undisturbed
-        light.
-        """
+        """Returns a crop, `[H, W, 7]`: colour times coverage, coverage, the ground's light left."""
         self._point_camera(job)
         self._light(job, arrays["sky"])
         self._texture_ground(job, arrays["ground"])
@@ -115,11 +111,8 @@ class Stage:
         """Adds a matt plane that shows only by the light it exchanges with vehicles."""
         half = GROUND_HALF_WIDTH_M
         mesh = bpy.data.meshes.new("ground")
-        mesh.from_pydata(
-            [(-half, -half, 0), (half, -half, 0), (half, half, 0), (-half, half, 0)],
-            [],
-            [(0, 1, 2, 3)],
-        )
+        corners = [(-half, -half, 0), (half, -half, 0), (half, half, 0), (-half, half, 0)]
+        mesh.from_pydata(corners, [], [(0, 1, 2, 3)])
         plane = bpy.data.objects.new("ground", mesh)
         plane.is_shadow_catcher = True
         self.scene.collection.objects.link(plane)
@@ -182,17 +175,11 @@ class Stage:
         gsd_m, half = job["gsd_m"], job["size_px"] / 2
         # Metres to the image's own coordinates, which run from its lower left corner to its upper
         # right one.
-        self.ground_place.inputs["Scale"].default_value = (
-            1 / (width * gsd_m),
-            1 / (height * gsd_m),
-            1.0,
-        )
-        low = ((left - half) * gsd_m, (half - top - height) * gsd_m)
-        self.ground_place.inputs["Location"].default_value = (
-            -low[0] / (width * gsd_m),
-            -low[1] / (height * gsd_m),
-            0.0,
-        )
+        wide_m, high_m = width * gsd_m, height * gsd_m
+        left_m, low_m = (left - half) * gsd_m, (half - top - height) * gsd_m
+        place = self.ground_place.inputs
+        place["Scale"].default_value = (1 / wide_m, 1 / high_m, 1.0)
+        place["Location"].default_value = (-left_m / wide_m, -low_m / high_m, 0.0)
         replace_image(self.ground_image, ground)
 
     def _vehicle(self, index: int, arrays: dict[str, np.ndarray]) -> list[Any]:
@@ -221,10 +208,7 @@ class Stage:
     def _surface(
         self, texture: np.ndarray, labels: np.ndarray, table: np.ndarray
     ) -> tuple[Any, list[Any]]:
-        """Makes one material with colour and finish from maps.
-
-        The finish is roughness, coat, specular level and the coat's roughness.
-        """
+        """One material from maps: colour; roughness, coat, specular level, the coat's roughness."""
         material = bpy.data.materials.new("vehicle")
         material.use_nodes = True
         nodes, links = material.node_tree.nodes, material.node_tree.links
@@ -266,10 +250,8 @@ def new_image(values: np.ndarray) -> Any:
 
 
 def replace_image(node: Any, values: np.ndarray) -> None:
-    """Puts a new image of values, whose first row is at the top, into a node.
-
-    New pixels need a new image: Blender would serve the old one's again.
-    """
+    """Puts values, the first row at the top, into a node."""
+    # New pixels need a new image: Blender would serve the old one's again.
     old = node.image
     node.image = new_image(values[::-1])
     if old is not None:
