@@ -184,8 +184,8 @@ def test_cycles_adds_steps_and_changes_none(folder):
     ("gsd_m", "image_px", "attack_px"), [(0.125, 192, 128), (0.3, 96, 96), (0.05, 480, 320)]
 )
 def test_images_cover_the_same_ground_at_every_resolution(gsd_m, image_px, attack_px):
-    assert SUITE.image_px(gsd_m) == image_px
-    assert SUITE.attack_px(gsd_m) == attack_px
+    its = subject(Path("mine"), gsd_m=gsd_m)
+    assert (its.image_px, its.attack_px) == (image_px, attack_px)
 
 
 def test_version_three_is_frozen():

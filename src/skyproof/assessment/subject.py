@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from skyproof.assessment.command import Request
-from skyproof.assessment.suite import Suite
+from skyproof.assessment.suite import Suite, side_px
 from skyproof.attacks.world import World
 from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.palette import ground_palette
@@ -85,12 +85,12 @@ class Subject:
     @property
     def image_px(self) -> int:
         """Side of the test images."""
-        return self.suite.image_px(self.gsd_m)
+        return side_px(self.suite.image_m, self.gsd_m)
 
     @property
     def attack_px(self) -> int:
         """Side of the images in attacks."""
-        return self.suite.attack_px(self.gsd_m)
+        return side_px(self.suite.attack_m, self.gsd_m)
 
     @property
     def test_megapixels(self) -> float:

@@ -96,14 +96,6 @@ class Suite:
     def names(self) -> list[CamouflageName]:
         return [CamouflageName.parse(text) for text in self.attacks]
 
-    def image_px(self, gsd_m: float) -> int:
-        """The side of the test images at a resolution."""
-        return _side_px(self.image_m, gsd_m)
-
-    def attack_px(self, gsd_m: float) -> int:
-        """The side of the images in attacks at a resolution."""
-        return _side_px(self.attack_m, gsd_m)
-
     def attack(self, name: CamouflageName, seed: int) -> AttackSettings:
         """The settings of an attack."""
         return replace(self.settings, steps=self.steps.of(name), seed=seed)
@@ -144,5 +136,6 @@ def texture_under(name: CamouflageName) -> str:
     return str(CamouflageName("texture", name.constraints))
 
 
-def _side_px(side_m: float, gsd_m: float) -> int:
+def side_px(side_m: float, gsd_m: float) -> int:
+    """The side of an image at a resolution."""
     return max(_SMALLEST_PX, math.ceil(side_m / gsd_m / _STRIDE_PX) * _STRIDE_PX)

@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tyro.conf import Suppress
 
-from skyproof.console import say
+from skyproof.console import progress_bar, say
 from skyproof.cycles.settings import Rendering
 from skyproof.errors import ConfigurationError
+from skyproof.files import refuse_existing
 from skyproof.ranges import Seed, is_name
 
 if TYPE_CHECKING:
-    import torch
-
     from skyproof.detectors.detector import Detector
-    from skyproof.measure.views import SceneRenderer
-    from skyproof.scenes.backgrounds import BackgroundSet
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,16 +63,16 @@ class Score(Rendering):
     def measure(self, loaded: Sequence[Detector] = ()) -> None:
         """Writes the score folder; the detectors may be `loaded` already."""
         from skyproof.camouflage.folder import load_camouflage
-        from skyproof.console import progress_bar
+        from skyproof.cycles.renderer import open_renderer
         from skyproof.datasets.dataset import Dataset
         from skyproof.detectors.card import read_card
         from skyproof.detectors.loaded import load_ensemble
         from skyproof.device import choose_device
-        from skyproof.files import refuse_existing
         from skyproof.measure.frames import read_frames
         from skyproof.measure.score import score
-        from skyproof.measure.views import SceneChange
+        from skyproof.measure.views import SceneChange, SceneRenderer
         from skyproof.scenes.backgrounds import BackgroundSet
+        from skyproof.vehicles.fleet import Fleet
 
         refuse_existing(self.out)
         device = choose_device(self.device)
@@ -92,7 +89,12 @@ class Score(Rendering):
             backgrounds = BackgroundSet.open(self.backgrounds)
             tiles = dict.fromkeys(scene.background.tile for scene in scenes)
             sources = dict.fromkeys(backgrounds.tile(name).source for name in tiles)
-        with self._stage(device, backgrounds) as stage, progress_bar("score") as update:
+        with ExitStack() as opened, progress_bar("score") as update:
+            stage = None
+            if backgrounds is not None and self.fleet is not None and original is not None:
+                fleet = Fleet.load(self.fleet)
+                renderer = opened.enter_context(open_renderer(self, backgrounds, self.out))
+                stage = SceneRenderer(fleet, renderer, device)
             score(
                 detectors,
                 self.out,
@@ -136,22 +138,6 @@ class Score(Rendering):
                 "--camouflages expects folders of different names; score the others separately."
             )
 
-    @contextmanager
-    def _stage(
-        self, device: torch.device, backgrounds: BackgroundSet | None
-    ) -> Iterator[SceneRenderer | None]:
-        """Yields the vehicles and the renderer of the scenes, if there are any."""
-        if backgrounds is None or self.fleet is None or self.original is None:
-            yield None
-            return
-        from skyproof.cycles.renderer import open_renderer
-        from skyproof.measure.views import SceneRenderer
-        from skyproof.vehicles.fleet import Fleet
-
-        fleet = Fleet.load(self.fleet)
-        with open_renderer(self, backgrounds, self.out) as renderer:
-            yield SceneRenderer(fleet, renderer, device)
-
     def _say_results(self) -> None:
         from skyproof.results.results import Results
         from skyproof.words import interval, number, percent
@@ -159,11 +145,8 @@ class Score(Rendering):
         results = Results.open(self.out)
         for quoted in results.quoted:
             for row in results.by_detector(quoted):
-                limits = interval(row.easr.low, row.easr.high)
-                say(
-                    f"  {row.camouflage!s:<24} {row.detector:<14} EASR "
-                    f"{percent(row.easr.estimate)} ({limits})"
-                )
+                easr = f"{percent(row.easr.estimate)} ({interval(row.easr.low, row.easr.high)})"
+                say(f"  {row.camouflage!s:<24} {row.detector:<14} EASR {easr}")
         for check in results.baselines:
             ap = check.ap_centre_1m
             told = (
