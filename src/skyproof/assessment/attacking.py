@@ -26,28 +26,31 @@ _QUERY_S = 0.03
 
 def attacks(its: Subject) -> Iterator[Step]:
     """The steps that optimise camouflages and choose controls."""
-    suite, seed = its.suite, its.seed
-    if its.black_box is None:
-        for name in suite.names:
-            yield attack(its, name, suite.attack(name, seed))
-    else:
-        for name in suite.names:
-            transfer = name.with_variant(TRANSFER)
-            yield attack(its, transfer, suite.attack(name, seed), transfer=True)
-            yield query(its, name, start=transfer)
-    searches = [name for name in suite.chosen_controls(seed) if name.choice == "search"]
-    for name in searches if its.black_box is not None else []:
+    suite, boxed = its.suite, its.black_box is not None
+    for name in suite.names:
+        if boxed:
+            yield from _transferred(its, name, name)
+        else:
+            yield attack(its, name, suite.attack(name, its.seed))
+    chosen = suite.chosen_controls(its.seed)
+    asked = [name for name in chosen if boxed and name.choice == "search"]
+    for name in asked:
         yield query(its, name)
-    for name, settings in suite.chosen_controls(seed).items():
-        if its.black_box is None or name not in searches:
+    for name, settings in chosen.items():
+        if name not in asked:
             yield attack(its, name, settings)
     # Each of several detectors would need its own query attacks.
-    if its.black_box is None and its.fits_reference and len(its.names) == 1:
+    if not boxed and its.fits_reference and len(its.names) == 1:
         for name in suite.names:
             if str(name) in suite.compared:
-                transfer = name.with_variant(TRANSFER)
-                yield attack(its, transfer, suite.attack(name, seed), transfer=True)
-                yield query(its, name.with_variant(QUERIED), start=transfer)
+                yield from _transferred(its, name, name.with_variant(QUERIED))
+
+
+def _transferred(its: Subject, name: CamouflageName, asked: CamouflageName) -> Iterator[Step]:
+    """An attack on the reference detectors, and the query attack `asked` that starts from it."""
+    transfer = name.with_variant(TRANSFER)
+    yield attack(its, transfer, its.suite.attack(name, its.seed), transfer=True)
+    yield query(its, asked, start=transfer)
 
 
 def attack(

@@ -68,7 +68,7 @@ def read_requirement(path: Path) -> Requirement | None:
     return read_document(path, _StoredVerdict, _REMEDY).requirement if path.exists() else None
 
 
-def rule(results: Results, requirement: Requirement, alarms: Sequence[str] = ()) -> Acceptance:
+def rule(results: Results, requirement: Requirement, alarms: Sequence[str]) -> Acceptance:
     """Decides on each detector of a run that did not fail its precheck.
 
     Attacks are all camouflages of the run on all renderers: those optimised on any detectors and in
@@ -105,16 +105,14 @@ def rule(results: Results, requirement: Requirement, alarms: Sequence[str] = ())
     return Acceptance(requirement, rulings, figure, _validity(results))
 
 
-def write_verdict(
-    results: Results, requirement: Requirement, acceptance: Acceptance, alarms: Sequence[str] = ()
-) -> None:
+def write_verdict(results: Results, acceptance: Acceptance, alarms: Sequence[str]) -> None:
     """Writes `verdict.json`: the answers, and digests of everything that they rest on."""
     layout = Layout(results.folder)
     digests = {name: card.weights_sha256 for name, card in results.cards.items()}
     document = {
         "skyproof": skyproof.__version__,
         "suite": results.config.every.get("suite"),
-        "requirement": asdict(requirement),
+        "requirement": asdict(acceptance.requirement),
         "alarms": list(alarms),
         "detectors": [
             {

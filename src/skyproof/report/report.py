@@ -126,8 +126,8 @@ def _write(
     acceptance = None if requirement is None else rule(results, requirement, alarms)
     worst = [case for renderer in results.renderers for case in worst_cases(results, renderer)]
     results.write([case.json() for case in worst])
-    if requirement is not None and acceptance is not None:
-        write_verdict(results, requirement, acceptance, alarms)
+    if acceptance is not None:
+        write_verdict(results, acceptance, alarms)
     contents = _Contents(results)
     every = contents.every
     strongest = strongest_of(every)
