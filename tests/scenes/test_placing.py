@@ -13,10 +13,10 @@ from skyproof.scenes import placing
 from skyproof.scenes.background_index import BackgroundTile, save_map, save_tile
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.directions import direction_values
-from skyproof.scenes.footprints import footprint, rectangles_overlap
 from skyproof.scenes.places import RemovedVehicle
 from skyproof.scenes.sampling import sample_scenes
 from skyproof.scenes.settings import SceneSettings
+from skyproof.scenes.standing import footprint, rectangles_overlap
 
 GSD_M = 0.125
 SIDE_PX = 400

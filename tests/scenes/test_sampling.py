@@ -10,10 +10,10 @@ import torch
 from skyproof.errors import ConfigurationError
 from skyproof.scenes.background_index import BackgroundTile
 from skyproof.scenes.backgrounds import BackgroundSet
-from skyproof.scenes.footprints import rectangles_overlap
 from skyproof.scenes.sampling import sample_scenes
 from skyproof.scenes.scene import write_scenes
 from skyproof.scenes.settings import SceneSettings
+from skyproof.scenes.standing import rectangles_overlap
 
 SIZES = {"car": (4.4, 1.8, 1.5), "van": (5.6, 2.1, 2.4), "small": (3.4, 1.6, 1.4)}
 

@@ -34,19 +34,17 @@ one at 12 cm."""
 
 @dataclass(frozen=True)
 class FramePicture:
-    """An annotated frame that is resampled when it is read."""
+    """An annotated frame that is resampled when it is read, with anti-aliasing."""
 
     path: Path
     source_size_px: tuple[int, int]
     size_px: tuple[int, int]
 
     def read(self) -> Pixels:
-        """Decodes and resamples the whole frame, with anti-aliasing."""
-        # Pillow widens its kernel when it shrinks, so this does not alias.
+        # Pillow widens its kernel when it shrinks.
         return tensor_of(self._decoded().resize(self.size_px, Image.Resampling.BICUBIC))
 
     def windows(self, windows: Sequence[Window]) -> Iterator[UInt8[Tensor, "3 _h _w"]]:
-        """Decodes the frame once and yields windows of the resampled picture."""
         source = self._decoded()
         right, bottom = self.source_size_px
         scale_x, scale_y = right / self.size_px[0], bottom / self.size_px[1]
@@ -84,11 +82,10 @@ def read_frames_folder(
             class, have another form, map coordinates or another image size, or lie outside their
             image.
     """
-    folder = Path(folder)
     files = _image_files(folder, pattern) or _image_files(folder / "images", pattern)
     if not files:
         raise ImageryError(f"{folder} holds no image matching {pattern!r}; give another folder.")
-    place = Path(labels) if labels is not None else folder
+    place = folder if labels is None else labels
     annotations = read_labels(place)
     if isinstance(annotations, GroundLabels):
         raise ImageryError(
@@ -101,15 +98,14 @@ def read_frames_folder(
     boxes: list[Tensor] = []
     ignore: list[Tensor] = []
     for file in files:
-        source_size = _size_px(file)
-        of_image = _labels_of(file, source_size, annotations, place)
-        # Labels in pixels have corners, never a point alone.
+        source_px = _size_px(file)
+        of_image = _labels_of(file, source_px, annotations, place)
         truths, ignored = sort_labels(
-            of_image, classes=classes, size_px=source_size, border_px=border_px, point_box_px=0.0
+            of_image, classes=classes, size_px=source_px, border_px=border_px
         )
-        size = _resized(file, source_size, gsd_m, target_gsd_m)
-        scale = torch.tensor([new / old for new, old in zip(size, source_size, strict=True)] * 2)
-        pictures.append(FramePicture(file, source_size, size))
+        size_px = _resized(file, source_px, gsd_m, target_gsd_m)
+        scale = torch.tensor([new / old for new, old in zip(size_px, source_px, strict=True)] * 2)
+        pictures.append(FramePicture(file, source_px, size_px))
         boxes.append(truths * scale)
         ignore.append(ignored * scale)
     return Dataset(
@@ -160,7 +156,6 @@ def _image_files(folder: Path, pattern: str) -> list[Path]:
 
 
 def _size_px(path: Path) -> tuple[int, int]:
-    """Reads width and height of an image from its header."""
     with open_picture(path, _REMEDY, error=ImageryError) as picture:
         if picture.mode[0] in "IF":
             raise ImageryError(

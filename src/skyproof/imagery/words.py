@@ -13,6 +13,9 @@ _MANY_MORE = 3
 """A detector that finds this many times the labelled vehicles mostly raises false alarms."""
 
 _LARGE_SHARE = 0.10
+_NOTES_SHOWN = 12
+_FEW_TILES = 12
+"""Fewest test tiles: with 12, a success rate has an interval of about ±30 points."""
 
 
 def cleared_words(record: dict[str, Any], out: Path, *, checked: bool) -> Iterator[str]:
@@ -89,11 +92,6 @@ def warnings(totals: dict[str, Any], vehicles_from: list[str]) -> list[str]:
             "threshold (skyproof precheck --freeze)."
         )
     return sentences
-
-
-_NOTES_SHOWN = 12
-_FEW_TILES = 12
-"""Fewest test tiles: with 12, a success rate has an interval of about ±30 points."""
 
 
 def tiling_words(record: TilingRecord, *, labelled: bool) -> Iterator[str]:

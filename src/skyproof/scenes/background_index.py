@@ -21,8 +21,6 @@ from skyproof.scenes.places import RemovedVehicle
 from skyproof.scenes.sensor import PAPER_BLUR_SIGMA_PX, Sensor
 from skyproof.scenes.splits import Split
 
-FORMAT_VERSION: Literal[1] = 1
-
 _INDEX = "index.json"
 REMEDY = "copy the whole folder again, or cut the backgrounds again"
 _Offset = Annotated[int, Meta(ge=-(10**12), le=10**12)]
@@ -30,19 +28,18 @@ _Offset = Annotated[int, Meta(ge=-(10**12), le=10**12)]
 
 @dataclass(frozen=True)
 class BackgroundTile:
-    """One tile of a background set.
+    """One tile of a background set; its files lie inside the folder.
 
     Attributes:
         id: unique in the set; the cluster of the bootstrap.
-        file: path inside the folder, like those of the maps.
         source: source image, or "procedural".
         offset_px: left and top edge in the grid of tiles, in pixels.
         kind: content of a procedural tile.
         sensor, light: those of this tile, if they are not the set's.
         removed: vehicles that stood on it before it was cleared.
-        drivable: map of places for vehicles (`skyproof.scenes.directions`), or None.
-        shade: map of shadows, which take v / 255 of the direct sun from the ground; or None.
-        cover: map of crowns, roofs and other cover, v / 255 of each pixel; or None.
+        drivable: map of places for vehicles (`skyproof.scenes.directions`).
+        shade: map of shadows, which take v / 255 of the direct sun from the ground.
+        cover: map of crowns, roofs and other cover, v / 255 of each pixel.
     """
 
     id: Name
@@ -63,9 +60,9 @@ class BackgroundTile:
 
     @property
     def files(self) -> tuple[str, ...]:
-        """Its picture, and its maps of drivable ground, shadows and cover."""
-        maps = [file for file in (self.drivable, self.shade, self.cover) if file is not None]
-        return (self.file, *maps)
+        """Its picture and its maps."""
+        maps = (self.drivable, self.shade, self.cover)
+        return (self.file, *(file for file in maps if file is not None))
 
 
 @dataclass(frozen=True)
@@ -97,12 +94,7 @@ class BackgroundIndex:
 
 
 def read_index(folder: Path) -> BackgroundIndex:
-    """Reads the index of a background set.
-
-    Raises:
-        StoredFileError: it is missing, damaged or of another version, two tiles share an id or a
-            file, or a tile lies outside the folder.
-    """
+    """Reads the index of a background set; StoredFileError for an impossible one."""
     path = folder / _INDEX
     index: BackgroundIndex = read_document(path, BackgroundIndex, REMEDY)
     for tile in index.tiles:
@@ -143,7 +135,7 @@ def write_index(
 ) -> None:
     """Writes the index last: a folder without one is not a background set."""
     index = {
-        "format_version": FORMAT_VERSION,
+        "format_version": 1,
         "gsd_m": gsd_m,
         "sensor": dataclasses.asdict(sensor or Sensor()),
         "light": dataclasses.asdict(light or Light()),

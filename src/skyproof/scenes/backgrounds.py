@@ -61,11 +61,7 @@ class BackgroundSet:
         return [tile for split in SPLITS for tile in self.tiles(split)]
 
     def tile(self, tile_id: str) -> BackgroundTile:
-        """The tile with that id.
-
-        Raises:
-            StoredFileError: there is none; the scenes belong to another set.
-        """
+        """The tile with that id; StoredFileError without one."""
         if tile_id not in self._tiles:
             raise StoredFileError(
                 f"{self.folder} has no tile {tile_id!r}; give the background set that the scenes "
@@ -117,11 +113,9 @@ class BackgroundSet:
                 self._decoded[file] = decode()
             self._decoded.move_to_end(file)
             pixels = self._decoded[file]
+            kept = self._decoded.values()
             # The requested file is the last one, and stays.
-            while (
-                len(self._decoded) > 1
-                and sum(kept.numel() for kept in self._decoded.values()) > CACHE_BYTES
-            ):
+            while len(kept) > 1 and sum(each.numel() for each in kept) > CACHE_BYTES:
                 self._decoded.popitem(last=False)
         return pixels
 
@@ -148,8 +142,7 @@ class BackgroundSet:
         self, pixels: UInt8[Tensor, "C H W"], window: BackgroundWindow, size_px: int
     ) -> Float[Tensor, "C size_px size_px"]:
         half = size_px / 2
-        cosine = math.cos(window.rotation_rad)
-        sine = math.sin(window.rotation_rad)
+        cosine, sine = math.cos(window.rotation_rad), math.sin(window.rotation_rad)
         reach = half * (abs(cosine) + abs(sine))
         left, top = window.centre_x_px - reach, window.centre_y_px - reach
         right, bottom = window.centre_x_px + reach, window.centre_y_px + reach
@@ -161,35 +154,21 @@ class BackgroundSet:
             )
         quarters = round(window.rotation_rad / (math.pi / 2))
         corner_x, corner_y = window.centre_x_px - half, window.centre_y_px - half
-        if (
-            window.rotation_rad == quarters * math.pi / 2
-            and corner_x.is_integer()
-            and corner_y.is_integer()
-        ):
-            x0 = int(corner_x)
-            y0 = int(corner_y)
+        whole = corner_x.is_integer() and corner_y.is_integer()
+        if whole and window.rotation_rad == quarters * math.pi / 2:
+            x0, y0 = int(corner_x), int(corner_y)
+            copied = pixels[:, y0 : y0 + size_px, x0 : x0 + size_px]
             # The camera turns left, so the picture turns right.
-            return (
-                torch.rot90(
-                    pixels[:, y0 : y0 + size_px, x0 : x0 + size_px], -quarters, (1, 2)
-                ).float()
-                / 255
-            )
-        x0 = max(0, math.floor(left) - 1)
-        y0 = max(0, math.floor(top) - 1)
+            return torch.rot90(copied, -quarters, (1, 2)).float() / 255
+        x0, y0 = max(0, math.floor(left) - 1), max(0, math.floor(top) - 1)
         crop = pixels[:, y0 : math.ceil(bottom) + 1, x0 : math.ceil(right) + 1].float()
         # Rows run down the screen: a counter-clockwise turn takes right (1, 0) to (cos, -sin) and
         # down to (sin, cos).
         steps = torch.arange(size_px, dtype=torch.float64) + 0.5 - half
         per_x, per_y = 2 / crop.shape[2], 2 / crop.shape[1]
-        across_x, down_x = (
-            cosine * steps * per_x,
-            (window.centre_x_px - x0 + sine * steps) * per_x - 1,
-        )
-        across_y, down_y = (
-            -sine * steps * per_y,
-            (window.centre_y_px - y0 + cosine * steps) * per_y - 1,
-        )
+        across_x, across_y = cosine * steps * per_x, -sine * steps * per_y
+        down_x = (window.centre_x_px - x0 + sine * steps) * per_x - 1
+        down_y = (window.centre_y_px - y0 + cosine * steps) * per_y - 1
         grid = torch.empty(1, size_px, size_px, 2)
         torch.add(across_x.float()[None, :], down_x.float()[:, None], out=grid[0, ..., 0])
         torch.add(across_y.float()[None, :], down_y.float()[:, None], out=grid[0, ..., 1])
@@ -218,9 +197,8 @@ class BackgroundSet:
 
     def window_tiles(self, split: str, size_px: int) -> list[BackgroundTile]:
         """The tiles of a split for windows: those with room to turn, if there are any."""
-        fitting = [
-            tile for tile in self.tiles(split) if min(tile.width_px, tile.height_px) >= size_px
-        ]
+        tiles = self.tiles(split)
+        fitting = [tile for tile in tiles if min(tile.width_px, tile.height_px) >= size_px]
         if not fitting:
             raise ConfigurationError(
                 f"{self.folder} has no {split} tile of at least {size_px} px, as a window of that "
@@ -231,19 +209,16 @@ class BackgroundSet:
     def sample_window_on(
         self, tile: BackgroundTile, size_px: int, *, generator: torch.Generator
     ) -> BackgroundWindow:
-        """Draws a rotation, and a place with the window fully inside a tile that is large enough.
+        """Draws a rotation, and a place with the window fully inside a tile.
 
-        On a tile without room for a window turned by 45 degrees the window turns by quarters and
-        lies on whole pixels, so that it copies the tile's pixels.
+        On a tile without room to turn, the window turns by quarters and lies on whole pixels.
         """
         turn, x, y = torch.rand(3, dtype=torch.float64, generator=generator).tolist()
         if not _has_room_to_turn(tile, size_px):
-            return BackgroundWindow(
-                tile=tile.id,
-                centre_x_px=size_px / 2 + math.floor(x * (tile.width_px - size_px + 1)),
-                centre_y_px=size_px / 2 + math.floor(y * (tile.height_px - size_px + 1)),
-                rotation_rad=math.floor(4 * turn) * math.pi / 2,
-            )
+            left_px = math.floor(x * (tile.width_px - size_px + 1))
+            top_px = math.floor(y * (tile.height_px - size_px + 1))
+            middle_px = size_px / 2 + left_px, size_px / 2 + top_px
+            return BackgroundWindow(tile.id, *middle_px, math.floor(4 * turn) * math.pi / 2)
         rotation_rad = 2 * math.pi * turn
         reach = size_px / 2 * (abs(math.cos(rotation_rad)) + abs(math.sin(rotation_rad)))
         return BackgroundWindow(
@@ -258,8 +233,7 @@ def on_tile(
     window: BackgroundWindow, east_px: Float[Tensor, "*S"], north_px: Float[Tensor, "*S"]
 ) -> tuple[Float[Tensor, "*S"], Float[Tensor, "*S"]]:
     """Returns column and row on the tile of points of a scene, in pixels from its middle."""
-    cosine = math.cos(window.rotation_rad)
-    sine = math.sin(window.rotation_rad)
+    cosine, sine = math.cos(window.rotation_rad), math.sin(window.rotation_rad)
     column = window.centre_x_px + cosine * east_px - sine * north_px
     row = window.centre_y_px - sine * east_px - cosine * north_px
     return column, row

@@ -1,7 +1,7 @@
 """Maps of drivable ground: places for a vehicle's middle on a tile, and the heading there.
 
-A map has the size of its tile. A pixel of 0 is no place for a vehicle; v > 0 is one, heading v - 1
-degrees from the tile's x axis (right) towards up, modulo 180: nose and tail are not distinguished.
+A pixel of 0 is no place for a vehicle; v > 0 is one, heading v - 1 degrees from the tile's x axis
+(right) towards up, modulo 180: nose and tail are not distinguished.
 """
 
 from __future__ import annotations

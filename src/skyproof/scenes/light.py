@@ -23,14 +23,9 @@ _Deviation = Annotated[float, Meta(ge=0, le=3.2)]
 
 @dataclass(frozen=True)
 class SunEstimate:
-    """The estimated place of the sun, and its uncertainty.
+    """The estimated place of the sun in the tile's axes, with standard deviations of its errors.
 
-    Attributes:
-        azimuth_rad: direction towards the sun in the ground plane, from x (right in the tile)
-            towards y (up).
-        elevation_rad: angle above the horizon.
-        azimuth_sd_rad, elevation_sd_rad: standard deviations of the errors.
-        known_from: short source, such as "shadows of 41 vehicles" or "date and time".
+    The azimuth runs from x (right) towards y (up), and the elevation from the horizon.
     """
 
     azimuth_rad: Radians
@@ -44,7 +39,6 @@ class SunEstimate:
 
     @property
     def sun(self) -> Sun:
-        """The estimated sun, in the tile's axes."""
         return Sun(self.azimuth_rad, self.elevation_rad)
 
 

@@ -10,9 +10,9 @@ import torch
 from skyproof.errors import ConfigurationError
 from skyproof.scenes.background_index import BackgroundTile
 from skyproof.scenes.backgrounds import BackgroundSet, on_tile
-from skyproof.scenes.footprints import Rectangle, Sizes, footprint, rectangles_overlap
 from skyproof.scenes.scene import BackgroundWindow, Placement
 from skyproof.scenes.settings import SceneSettings
+from skyproof.scenes.standing import Rectangle, Sizes, footprint, rectangles_overlap
 
 SHIFT_M = 0.3
 TURN_RAD = math.radians(3)
@@ -31,9 +31,7 @@ _POINTS_USED = 64
 class Place:
     """A possible place of a vehicle in a scene, in metres east and north of the image's middle.
 
-    Attributes:
-        heading_rad: angle from x towards y, either way; None allows any heading.
-        length_m: length of the vehicle that stood there, if known.
+    No heading allows any. The length is that of the vehicle that stood there.
     """
 
     x_m: float
@@ -74,13 +72,6 @@ def place_vehicles(draw: SceneDraw) -> tuple[BackgroundWindow, tuple[Placement, 
     The tile is uniform among those with places. The window is uniform on it among those with room
     for the fewest vehicles (at least one, unless no vehicle was drawn). A random subset of a
     window's places is taken, and a window with fewer places gets fewer vehicles.
-
-    `half_m` is the largest distance of vehicle centres from the middle on both axes. Other
-    arguments are those of `sample_scenes`.
-
-    Raises:
-        ConfigurationError: no tile has places, or no window with room for the fewest vehicles was
-            found.
     """
     settings, backgrounds, generator = draw.settings, draw.backgrounds, draw.generator
     number = draw.number()
@@ -124,8 +115,7 @@ def _tiles_with_places(draw: SceneDraw) -> list[BackgroundTile]:
 
 def _removed_places(tile: BackgroundTile, window: BackgroundWindow, gsd_m: float) -> list[Place]:
     """Gives the places of a tile's removed vehicles in a window's axes; they may lie outside it."""
-    cosine = math.cos(window.rotation_rad)
-    sine = math.sin(window.rotation_rad)
+    cosine, sine = math.cos(window.rotation_rad), math.sin(window.rotation_rad)
     places = []
     for vehicle in tile.removed:
         across = vehicle.x_px - window.centre_x_px
@@ -155,39 +145,30 @@ def _drivable_places(draw: SceneDraw, window: BackgroundWindow) -> list[Place]:
         row.floor().long().clamp(0, directions.shape[0] - 1),
         column.floor().long().clamp(0, directions.shape[1] - 1),
     ]
-    hits = values.nonzero().flatten()[:_POINTS_USED].tolist()
-    return [
-        Place(
-            float(x_m[hit]),
-            float(y_m[hit]),
-            math.radians(int(values[hit]) - 1) - window.rotation_rad,
-        )
-        for hit in hits
-    ]
+    hits = values.nonzero().flatten()[:_POINTS_USED]
+    found = zip(x_m[hits].tolist(), y_m[hits].tolist(), values[hits].tolist(), strict=True)
+    return [Place(x, y, math.radians(value - 1) - window.rotation_rad) for x, y, value in found]
 
 
 def _fill(draw: SceneDraw, places: Sequence[Place], number: int) -> tuple[Placement, ...]:
     """Puts at most `number` vehicles on places, in random order."""
-    placements: list[Placement] = []
-    taken: list[Rectangle] = []
+    taken: dict[Placement, Rectangle] = {}
     for index in torch.randperm(len(places), generator=draw.generator).tolist():
-        if len(placements) == number:
+        if len(taken) == number:
             break
         for placement in _draws(draw, places[index]):
             rectangle = footprint(placement, draw.sizes_m, draw.settings.gap_m)
-            free = not any(rectangles_overlap(rectangle, other) for other in taken)
+            free = not any(rectangles_overlap(rectangle, other) for other in taken.values())
             if draw.inside(placement) and free:
-                placements.append(placement)
-                taken.append(rectangle)
+                taken[placement] = rectangle
                 break
-    return tuple(placements)
+    return tuple(taken)
 
 
 def _draws(draw: SceneDraw, place: Place) -> Iterator[Placement]:
     """Draws vehicles for a place, each slightly off it and facing either way."""
     generator = draw.generator
-    names = sorted(draw.sizes_m)
-    length_m = place.length_m
+    names, length_m = sorted(draw.sizes_m), place.length_m
     if length_m is not None:
         names.sort(key=lambda name: abs(draw.sizes_m[name][0] - length_m))
         names = names[: math.ceil(len(names) * NEAR_LENGTH_SHARE)]

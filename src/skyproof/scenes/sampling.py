@@ -8,12 +8,11 @@ import torch
 
 from skyproof.errors import ConfigurationError
 from skyproof.scenes.backgrounds import BackgroundSet
-from skyproof.scenes.footprints import Sizes, footprint, rectangles_overlap
 from skyproof.scenes.light import SunEstimate
 from skyproof.scenes.placing import SceneDraw, place_vehicles
 from skyproof.scenes.scene import Camera, Placement, Scene, Sun
 from skyproof.scenes.settings import SceneSettings
-from skyproof.scenes.standing import standing
+from skyproof.scenes.standing import Sizes, footprint, rectangles_overlap, standing
 from skyproof.scenes.weather import LOW_SUN_ELEVATION_RAD, draw_weather
 
 TRIES = 2000
@@ -33,11 +32,9 @@ def sample_scenes(
     generator: torch.Generator,
     prefix: str = "scene",
 ) -> list[Scene]:
-    """Draws scenes with uniform vehicles and backgrounds; none overlap.
+    """Draws scenes of uniform vehicles, backgrounds and places; none overlap.
 
-    Places and headings are uniform, too, unless `settings.places` takes them from the ground. Every
-    vehicle id is equally likely. Every scene takes one 63-bit seed from `generator` and draws all
-    else from that seed. Ids are `<prefix>-<number>`.
+    Every scene takes one 63-bit seed from `generator` and draws all else from that seed.
 
     Raises:
         ConfigurationError: no tile is large enough, there are no vehicles, or the image or the
@@ -74,17 +71,10 @@ def _sample_scene(name: str, seed: int, draw: SceneDraw) -> Scene:
     if condition == "low_sun":
         lowest, highest = LOW_SUN_ELEVATION_RAD
         sun_height = strength
-    camera = Camera(
-        # The square root makes the point uniform on the disc's area.
-        tilt_rad=math.asin(math.sqrt(radius) * math.sin(settings.tilt_maximum_rad)),
-        azimuth_rad=2 * math.pi * camera_turn,
-        gsd_m=backgrounds.gsd_m,
-        size_px=settings.size_px,
-    )
-    sun = Sun(
-        azimuth_rad=2 * math.pi * sun_turn,
-        elevation_rad=lowest + (highest - lowest) * sun_height,
-    )
+    # The square root makes the point uniform on the disc's area.
+    tilt_rad = math.asin(math.sqrt(radius) * math.sin(settings.tilt_maximum_rad))
+    camera = Camera(tilt_rad, 2 * math.pi * camera_turn, backgrounds.gsd_m, settings.size_px)
+    sun = Sun(2 * math.pi * sun_turn, lowest + (highest - lowest) * sun_height)
     known = backgrounds.light_of(window).sun
     if settings.sun == "photograph" and known is not None:
         photographed = _sun_of(known, window.rotation_rad, generator=generator)
@@ -93,15 +83,7 @@ def _sample_scene(name: str, seed: int, draw: SceneDraw) -> Scene:
         sun = replace(photographed, elevation_rad=sun.elevation_rad) if low else photographed
     shadows = settings.sun == "photograph"
     placements = standing(placements, backgrounds, window, draw.sizes_m, shadows=shadows)
-    return Scene(
-        id=name,
-        background=window,
-        camera=camera,
-        sun=sun,
-        placements=placements,
-        seed=seed,
-        weather=draw_weather(condition, strength),
-    )
+    return Scene(name, window, camera, sun, placements, seed, draw_weather(condition, strength))
 
 
 def _sun_of(known: SunEstimate, rotation_rad: float, *, generator: torch.Generator) -> Sun:
@@ -109,10 +91,8 @@ def _sun_of(known: SunEstimate, rotation_rad: float, *, generator: torch.Generat
     azimuth, elevation = torch.randn(2, dtype=torch.float64, generator=generator).tolist()
     azimuth_rad = known.azimuth_rad + azimuth * known.azimuth_sd_rad - rotation_rad
     elevation_rad = known.elevation_rad + elevation * known.elevation_sd_rad
-    return Sun(
-        azimuth_rad % (2 * math.pi),
-        min(max(elevation_rad, LOW_SUN_ELEVATION_RAD[0]), math.pi / 2),
-    )
+    elevation_rad = min(max(elevation_rad, LOW_SUN_ELEVATION_RAD[0]), math.pi / 2)
+    return Sun(azimuth_rad % (2 * math.pi), elevation_rad)
 
 
 def _sample_placements(draw: SceneDraw) -> tuple[Placement, ...]:
@@ -159,13 +139,9 @@ def _park(draw: SceneDraw, names: list[str]) -> tuple[Placement, ...]:
         heading_rad = row_rad + across_rad + (2 * skew - 1) * LARGEST_SKEW_RAD
         slots.append((reached_m + taken_m / 2, heading_rad + (math.pi if side < 0.5 else 0.0)))
         reached_m += taken_m + gap_m
-    row = (
-        Placement(
-            name,
-            (2 * x - 1) * draw.half_m + (middle_m - reached_m / 2) * math.cos(row_rad),
-            (2 * y - 1) * draw.half_m + (middle_m - reached_m / 2) * math.sin(row_rad),
-            heading_rad % (2 * math.pi),
-        )
-        for name, (middle_m, heading_rad) in zip(names, slots, strict=True)
-    )
+    row = []
+    for name, (middle_m, heading_rad) in zip(names, slots, strict=True):
+        x_m = (2 * x - 1) * draw.half_m + (middle_m - reached_m / 2) * math.cos(row_rad)
+        y_m = (2 * y - 1) * draw.half_m + (middle_m - reached_m / 2) * math.sin(row_rad)
+        row.append(Placement(name, x_m, y_m, heading_rad % (2 * math.pi)))
     return tuple(filter(draw.inside, row))

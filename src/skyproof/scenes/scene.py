@@ -31,12 +31,9 @@ _Place = Annotated[float, Meta(ge=-1e5, le=1e5)]
 
 @dataclass(frozen=True)
 class BackgroundWindow:
-    """A square window of a background tile.
+    """A square window of a background tile, by its middle in tile pixels from the top-left corner.
 
-    Attributes:
-        tile: id of the tile in its background set; the cluster of the bootstrap.
-        centre_x_px, centre_y_px: middle in tile pixels from the top-left corner, continuous.
-        rotation_rad: angle from the tile's x axis to the window's, counter-clockwise on screen.
+    The rotation is the angle from the tile's x axis to the window's, counter-clockwise on screen.
     """
 
     tile: Name
@@ -50,12 +47,8 @@ class Camera:
     """An aerial camera whose picture was rectified to the ground plane, as an orthophoto is.
 
     Ground points stay on the pixel grid at any tilt, and a point at height h leans away from the
-    camera by h * tan(tilt): parallel rays, the limit of a high camera.
-
-    Attributes:
-        tilt_rad: angle off the vertical, 0 to 20 degrees (section S3.2.1).
-        azimuth_rad: direction from the scene to the camera in the ground plane, from x to y.
-        size_px: side of the image; world (0, 0) is its centre, x is east and right, y north and up.
+    camera by h * tan(tilt): parallel rays. World (0, 0) is the image's centre, x is east and right,
+    y north and up. The azimuth is the direction to the camera, from x to y. (Section S3.2.1)
     """
 
     tilt_rad: Tilt
@@ -84,10 +77,9 @@ class Sun:
 
 @dataclass(frozen=True)
 class Placement:
-    """One vehicle in a scene.
+    """One vehicle in a scene, in metres east and north of the image's middle.
 
     Attributes:
-        x_m, y_m: metres east and north of the image's middle.
         heading_rad: direction of its nose, from x towards y.
         shade: share of the direct sun that the photograph's shadows take.
         covered: share of its footprint under crowns and roofs; 0 also on top of them.
@@ -105,7 +97,7 @@ class Placement:
 class Scene:
     """All data to render one image again, except the fleet and the background set.
 
-    The id names the picture. The seed is that of the sensor noise.
+    The seed is that of the sensor noise.
     """
 
     id: Name
@@ -123,23 +115,18 @@ def write_scenes(path: Path, scenes: Iterable[Scene]) -> None:
 
 
 def read_scenes(path: Path) -> list[Scene]:
-    """Reads a file of `write_scenes`.
-
-    Raises:
-        StoredFileError: the file is missing, not JSON lines, of another form or out of range; two
-            scenes share an id; or they differ in image size or resolution.
-    """
+    """Reads a file of `write_scenes`; StoredFileError for a missing or impossible one."""
     remedy = "copy the file again, or sample the scenes again"
     scenes: list[Scene] = read_lines(path, Scene, remedy)
     if not scenes:
         raise StoredFileError(f"{path} holds no scene; {remedy}.")
     ids: set[str] = set()
+    first = scenes[0].camera
     for scene in scenes:
         if scene.id in ids:
             raise StoredFileError(f"{path} holds two scenes called {scene.id!r}; {remedy}.")
         ids.add(scene.id)
-        own = (scene.camera.size_px, scene.camera.gsd_m)
-        if own != (scenes[0].camera.size_px, scenes[0].camera.gsd_m):
+        if (scene.camera.size_px, scene.camera.gsd_m) != (first.size_px, first.gsd_m):
             raise StoredFileError(
                 f"{path} holds scenes of several image sizes or resolutions ({scene.id} differs "
                 f"from {scenes[0].id}); {remedy}."

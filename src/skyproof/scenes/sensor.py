@@ -27,11 +27,9 @@ def chosen_blur_px(choice: BlurChoice) -> float:
 
 @dataclass(frozen=True)
 class Sensor:
-    """Blur and noise of imagery; the default is a sharp, quiet orthophoto at 12.5 cm per pixel.
+    """Standard deviations of Gaussian blur, and of noise in sRGB units.
 
-    Attributes:
-        blur_sigma_px: standard deviation of the Gaussian blur.
-        noise: standard deviation of the noise, sRGB units.
+    The default is a sharp, quiet orthophoto at 12.5 cm per pixel.
     """
 
     blur_sigma_px: Blur = 0.7

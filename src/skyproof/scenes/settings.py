@@ -29,24 +29,17 @@ class SceneSettings:
 
     Attributes:
         size_px: side of the image in pixels.
-        vehicles_minimum: fewest vehicles in an image; 1 in an attack.
-        vehicles_maximum: most vehicles in an image, every number between equally likely; 1 in an
-            attack.
-        tilt_maximum_rad: largest tilt; the camera is a uniform point on a disc of radius
-            sin(tilt_maximum_rad).
+        vehicles_minimum, vehicles_maximum: numbers of vehicles in an image, equally likely.
+        tilt_maximum_rad: largest tilt; the camera is a uniform point on a disc of its sine.
         sun: photograph or uniform. "photograph" takes the sun and the shadows of the ground if they
-            are known, and a vehicle in a shadow is dark; an unknown sun is drawn by the next two
-            settings. "uniform" draws azimuth and elevation uniformly and lights vehicles
-            everywhere, as in the paper.
-        sun_elevation_minimum_rad: elevation of the lowest sun; the azimuth is uniform.
-        sun_elevation_maximum_rad: elevation of the highest sun, every elevation between equally
-            likely.
+            are known. "uniform" draws any sun and lights vehicles everywhere, as in the paper.
+        sun_elevation_minimum_rad, sun_elevation_maximum_rad: elevations of a sun that is drawn,
+            equally likely; its azimuth is uniform.
         gap_m: least distance between two vehicles.
         margin_m: least distance of a vehicle's centre from the image's edge.
         places: places of vehicles: uniform (any place), removed (places of removed vehicles) or
             drivable (ground for vehicles, along its direction).
-        parked_share: share of scenes with uniform places whose vehicles stand in a row, bumper to
-            bumper or side by side, like parked ones; 0 in the paper.
+        parked_share: share of scenes with uniform places whose vehicles stand in a row.
         conditions: weather and light, each equally likely in every scene: clear, haze, rain,
             low_sun, overcast, exposure, noise, jpeg.
     """
@@ -89,11 +82,7 @@ class SceneSettings:
             )
 
     def half_m(self, gsd_m: float) -> float:
-        """Returns the largest distance of vehicle centres from the middle on both axes, in metres.
-
-        Raises:
-            ConfigurationError: the image has no room inside the margin.
-        """
+        """Returns the largest distance of vehicle centres from the middle on both axes."""
         half_m = self.size_px * gsd_m / 2 - self.margin_m
         if half_m <= 0:
             raise ConfigurationError(

@@ -1,7 +1,7 @@
-"""How vehicles stand on a photograph: in its shadows, and beneath its crowns and roofs."""
+"""How vehicles stand: apart from each other, in shadows, beneath crowns and roofs."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import torch
@@ -9,13 +9,43 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from skyproof.scenes.backgrounds import BackgroundSet, on_tile
-from skyproof.scenes.footprints import Sizes, footprint
 from skyproof.scenes.scene import BackgroundWindow, Placement
 
 _ALONG, _ACROSS = 9, 5
 """Points of a vehicle's footprint that read the maps."""
 
 _ON_TOP_FROM = 0.5
+
+Rectangle = tuple[float, float, float, float, float]
+"""Centre x, centre y, heading, length, width; metres and radians."""
+
+Sizes = Mapping[str, tuple[float, float, float]]
+"""Per vehicle id its length, width and height in metres."""
+
+
+def footprint(placement: Placement, vehicle_sizes_m: Sizes, gap_m: float) -> Rectangle:
+    """Gives the ground below a vehicle, with half of the gap to the next on every side."""
+    length_m, width_m, _ = vehicle_sizes_m[placement.vehicle]
+    return placement.x_m, placement.y_m, placement.heading_rad, length_m + gap_m, width_m + gap_m
+
+
+def rectangles_overlap(first: Rectangle, second: Rectangle) -> bool:
+    """Whether two turned rectangles share area, by the separating axis test."""
+    dx = second[0] - first[0]
+    dy = second[1] - first[1]
+    for heading in (first[2], second[2]):
+        for axis_rad in (heading, heading + math.pi / 2):
+            distance = abs(dx * math.cos(axis_rad) + dy * math.sin(axis_rad))
+            if distance >= _half_extent(first, axis_rad) + _half_extent(second, axis_rad):
+                return False
+    return True
+
+
+def _half_extent(rectangle: Rectangle, axis_rad: float) -> float:
+    _, _, heading, length, width = rectangle
+    along = length * abs(math.cos(axis_rad - heading))
+    across = width * abs(math.sin(axis_rad - heading))
+    return (along + across) / 2
 
 
 def standing(
@@ -27,11 +57,10 @@ def standing(
     shadows: bool,
     on_top_from: float = _ON_TOP_FROM,
 ) -> tuple[Placement, ...]:
-    """Returns vehicles with the shadow and cover of their places.
+    """Returns vehicles with the mean shadow over their footprints, if `shadows`, and their cover.
 
-    A vehicle gets the mean shadow over its footprint if `shadows`. If crowns and roofs cover less
-    than `on_top_from` of the footprint it stands beneath them, else on top, because uniform places
-    put vehicles on anything. (Photographed vehicles chose their places, and do not.)
+    If crowns and roofs cover less than `on_top_from` of the footprint a vehicle stands beneath
+    them, else on top, because uniform places put vehicles on anything.
     """
     shade = backgrounds.shade(window.tile) if shadows else None
     cover = backgrounds.cover(window.tile)
@@ -43,8 +72,7 @@ def standing(
     found = []
     for placement in placements:
         x_m, y_m, heading_rad, length_m, width_m = footprint(placement, vehicle_sizes_m, 0.0)
-        cosine = math.cos(heading_rad)
-        sine = math.sin(heading_rad)
+        cosine, sine = math.cos(heading_rad), math.sin(heading_rad)
         east_m = x_m + cosine * length_m * along - sine * width_m * across
         north_m = y_m + sine * length_m * along + cosine * width_m * across
         column, row = on_tile(window, east_m / backgrounds.gsd_m, north_m / backgrounds.gsd_m)

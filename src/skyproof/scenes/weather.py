@@ -25,7 +25,6 @@ class Weather:
         overcast: share of the direct sun that comes from the whole sky instead.
         exposure_stops: brightness factor 2^stops before clipping.
         noise: standard deviation on the whole picture, sRGB units.
-        jpeg_quality: quality of a JPEG compression of the picture, or None.
     """
 
     condition: Name = "clear"
@@ -70,8 +69,7 @@ MIXED_CONDITIONS = ("clear", "haze", "overcast", "exposure", "noise", "jpeg", "l
 def draw_weather(condition: str, strength: float) -> Weather:
     """The weather of one of `CONDITIONS` (section S7) at a strength, which scenes draw from [0, 1].
 
-    Raises:
-        ConfigurationError: there is no such condition.
+    Other conditions are a ConfigurationError.
     """
     if condition not in CONDITIONS:
         raise ConfigurationError(

@@ -30,13 +30,11 @@ class Label:
 
     @classmethod
     def upright(cls, class_name: str, box: Box, ignore: bool = False) -> Label:
-        """Makes a label of an xyxy box."""
         left, top, right, bottom = box
         corners = (left, top), (right, top), (right, bottom), (left, bottom)
         return cls(class_name, corners, ignore)
 
     def moved(self, corners: Sequence[Point]) -> Label:
-        """Returns the label with other corners."""
         return dataclasses.replace(self, corners=tuple(corners))
 
     @property
@@ -52,7 +50,6 @@ class Label:
 
     @property
     def middle(self) -> Point:
-        """The middle of its bounds."""
         left, top, right, bottom = self.bounds
         return (left + right) / 2, (top + bottom) / 2
 
@@ -119,8 +116,6 @@ def require_inside(label: Label, size_px: tuple[int, int], where: str) -> None:
     """Refuses an upright box not wholly in its image, or an oriented one centred outside."""
     left, top, right, bottom = label.bounds
     width, height = size_px
-    if len(label.corners) > 1 and not (right > left and bottom > top):
-        raise ImageryError(f"{where} has a box without size; correct it.")
     xs, ys = ({*values} for values in zip(*label.corners, strict=True))
     if xs == {left, right} and ys == {top, bottom}:
         inside = is_within(label.bounds, size_px)
@@ -138,8 +133,8 @@ def sort_labels(
     *,
     classes: Sequence[str],
     size_px: tuple[int, int],
-    border_px: float,
-    point_box_px: float,
+    border_px: float = 0.0,
+    point_box_px: float = 0.0,
 ) -> tuple[Boxes, Boxes]:
     """Divides the labels of one image into vehicles `[n, 4]` and ignore regions `[m, 4]`.
 

@@ -61,9 +61,8 @@ def outline(width_px: int, height_px: int, steps: int = 8) -> list[Point]:
     """Returns points along the border of a picture: lines of one system are curves in another."""
     width, height = float(width_px), float(height_px)
     shares = [i / steps for i in range(steps)]
-    half = [(share * width, 0.0) for share in shares] + [
-        (width, share * height) for share in shares
-    ]
+    half = [(share * width, 0.0) for share in shares]
+    half += [(width, share * height) for share in shares]
     return [*half, *((width - x, height - y) for x, y in half)]
 
 
@@ -90,12 +89,15 @@ def read_georeference(
         system = CRS.from_user_input(crs)
         notes.append(f"its reference system is taken as {crs}")
     if not plain and system is not None:
-        gsd_m = _ground_resolution(system, affine, dataset.width, dataset.height)
-        if gsd_m is None:
+        x, y, step = dataset.width / 2, dataset.height / 2, 16.0
+        corner = [affine * place for place in ((x, y), (x + step, y), (x, y + step))]
+        lengths_m = _distances_m(system, corner)
+        if lengths_m is None:
             raise ImageryError(
                 f"{path} lies outside what its reference system covers; check its system (or "
                 "--source.crs)."
             )
+        gsd_m = lengths_m[0] / step, lengths_m[1] / step
         _check_resolution(path, gsd_m, "the image")
         return Georeference(system, affine, gsd_m)
     if source_gsd_m is not None:
@@ -128,18 +130,6 @@ def _check_resolution(path: Path, gsd_m: tuple[float, float], whose: str) -> Non
         )
 
 
-def _ground_resolution(
-    crs: CRS, affine: Affine, width_px: int, height_px: int
-) -> tuple[float, float] | None:
-    """Returns metres on the ground per column and row in the image's middle, on WGS 84."""
-    step = 16.0
-    x, y = width_px / 2, height_px / 2
-    lengths_m = _distances_m(
-        crs, [affine * place for place in ((x, y), (x + step, y), (x, y + step))]
-    )
-    return None if lengths_m is None else (lengths_m[0] / step, lengths_m[1] / step)
-
-
 def _distances_m(crs: CRS, places: Sequence[Point]) -> list[float] | None:
     """Returns distances of nearby places from the first; None if one is nowhere on Earth."""
     degrees = to_reference_system(crs, DEGREES, places)
@@ -169,7 +159,6 @@ def is_true_to_scale(crs: CRS, place: Point) -> bool:
 
 
 def system_of(name: str, path: object) -> CRS:
-    """Finds the reference system of a name."""
     try:
         if not names_a_system(name):
             raise CRSError("an address or a path")

@@ -56,6 +56,11 @@ class Cell:
     block: BlockKey
 
     @property
+    def plane(self) -> str:
+        """The name of the system of its coordinates."""
+        return f"source {self.sources[0]}" if self.crs is None else self.crs.to_string()
+
+    @property
     def side_m(self) -> float:
         """Width and height in metres."""
         return self.size_px * self.gsd_m
@@ -134,11 +139,6 @@ class Grid:
                     covered[row, column] = covered.get((row, column), 0.0) + width * height
         enough = (FULL_SHARE - 0.005) * side_m**2
         return {place: seen[place] for place in sorted(seen) if covered[place] >= enough}
-
-
-def plane_of(crs: CRS | None, sources: Sequence[int]) -> str:
-    """Names the system of a cell's coordinates."""
-    return f"source {sources[0]}" if crs is None else crs.to_string()
 
 
 def around(extents: Iterable[Extent]) -> Extent:

@@ -1,11 +1,13 @@
 """Takes labels to the ground that tiles are cut from, and from there onto the tiles."""
 
+import itertools
 import math
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from jaxtyping import Int
 from numpy.typing import NDArray
 from rasterio.crs import CRS
@@ -22,7 +24,7 @@ from skyproof.imagery.labels.label import (
 )
 from skyproof.imagery.settings import LabelSettings
 from skyproof.imagery.tiles.georeference import system_of, to_reference_system
-from skyproof.imagery.tiles.grid import Cell, Extent, around, extent_of, plane_of
+from skyproof.imagery.tiles.grid import Cell, Extent, around, extent_of
 from skyproof.imagery.tiles.sources import Source
 
 BIN_M = 64.0
@@ -72,8 +74,7 @@ class PlacedLabels:
         self._planes: dict[str, _Plane] = {}
         self.notes: list[str] = []
         for cell in cells:
-            name = plane_of(cell.crs, cell.sources)
-            plane = self._planes.setdefault(name, _Plane(cell.crs, set(), cell.extent))
+            plane = self._planes.setdefault(cell.plane, _Plane(cell.crs, set(), cell.extent))
             plane.sources.update(cell.sources)
             plane.extent = around([plane.extent, cell.extent])
         if isinstance(labels, GroundLabels):
@@ -186,21 +187,20 @@ class PlacedLabels:
         if not all(math.isfinite(value) for corner in item.label.corners for value in corner):
             return
         # A label may reach around the world, but only bins of cells are read.
-        for column in _bins(max(first_x - reach, left), min(last_x + reach, right)):
-            for row in _bins(max(first_y - reach, bottom), min(last_y + reach, top)):
-                self._bins[plane, column, row].append(item)
+        columns = _bins(max(first_x - reach, left), min(last_x + reach, right))
+        rows = _bins(max(first_y - reach, bottom), min(last_y + reach, top))
+        for column, row in itertools.product(columns, rows):
+            self._bins[plane, column, row].append(item)
 
     def on(self, cell: Cell, owner: Int[np.ndarray, "S S"]) -> list[Annotation]:
         """Returns vehicles and ignore regions of a tile.
 
         `owner` is the number of each pixel's source, -1 for empty pixels.
         """
-        plane = plane_of(cell.crs, cell.sources)
         left, bottom, right, top = cell.extent
         near: dict[int, _Placed] = {}
-        for column in _bins(left, right):
-            for row in _bins(bottom, top):
-                near |= {id(item): item for item in self._bins.get((plane, column, row), ())}
+        for place in itertools.product(_bins(left, right), _bins(bottom, top)):
+            near |= {id(item): item for item in self._bins.get((cell.plane, *place), ())}
         annotations = (self._annotation(item, cell, owner) for item in near.values())
         return [annotation for annotation in annotations if annotation is not None]
 
@@ -225,17 +225,14 @@ class PlacedLabels:
             [Label(label.class_name, label.corners, ignore)],
             classes=self._classes,
             size_px=(size, size),
-            border_px=0.0,
             point_box_px=point_box_px,
         )
         if not len(truths) + len(ignored):
             return None
-        left, top, right, bottom = [*truths.tolist(), *ignored.tolist()][0]
+        box = left, top, right, bottom = tuple(torch.cat([truths, ignored])[0].tolist())
         if not len(truths):
             middle = ((left + right) / 2, (top + bottom) / 2)
-            return Annotation(
-                (left, top, right, bottom), middle, ignore=True, unlabelled=unlabelled
-            )
+            return Annotation(box, middle, ignore=True, unlabelled=unlabelled)
         first_x, first_y, last_x, last_y = label.bounds
         area_px = (last_x - first_x) * (last_y - first_y)
         if len(label.corners) == 1:
@@ -243,7 +240,7 @@ class PlacedLabels:
         # Corners farther away are those of no vehicle, and nothing could be drawn with them.
         near = all(abs(value) <= FARTHEST_PX for corner in label.corners for value in corner)
         return Annotation(
-            (left, top, right, bottom),
+            box,
             (x, y),
             min((right - left) * (bottom - top) / max(area_px, 1e-9), 1.0),
             corners_px=label.corners_lengthwise() if item.oriented and near else None,
@@ -251,7 +248,6 @@ class PlacedLabels:
 
 
 def _bins(low_m: float, high_m: float) -> range:
-    """Numbers the bins from one place to another; none if the second comes first."""
     return range(math.floor(low_m / BIN_M), math.floor(high_m / BIN_M) + 1)
 
 
