@@ -6,7 +6,7 @@ import torch
 
 from skyproof.errors import ImageryError
 from skyproof.ground.procedural import draw_ground
-from skyproof.imagery.exposure import ground_pixels, measure_exposure
+from skyproof.imagery.photographs import ground_pixels, measure_exposure
 
 NOBODY = torch.zeros(0, 2)
 

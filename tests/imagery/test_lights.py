@@ -11,7 +11,7 @@ from rasterio.transform import Affine
 
 from skyproof.errors import ConfigurationError, ImageryError
 from skyproof.ground.procedural import draw_ground
-from skyproof.imagery.exposure import sun_over
+from skyproof.imagery.photographs import sun_over
 from skyproof.imagery.settings import SourceSettings
 from skyproof.imagery.tiles.grid import Cell
 from skyproof.scenes.light import Light

@@ -6,7 +6,7 @@ import torch
 from scipy import ndimage
 
 from skyproof.errors import ImageryError
-from skyproof.imagery.sharpness import measure_sensor
+from skyproof.imagery.photographs import measure_sensor
 
 SIZE, FINER = 320, 4
 

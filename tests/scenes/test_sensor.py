@@ -12,7 +12,7 @@ from skyproof.cycles.renderer import open_renderer
 from skyproof.cycles.settings import Rendering
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.ground.procedural import GroundSensor, write_procedural_backgrounds
-from skyproof.imagery.sharpness import measure_sensor
+from skyproof.imagery.photographs import measure_sensor
 from skyproof.scenes.background_index import BackgroundTile, change_sensors, save_tile, write_index
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.scene import BackgroundWindow

@@ -31,7 +31,7 @@ from skyproof.imagery.clearing.vehicle_masks import (
     vehicle_mask,
 )
 from skyproof.imagery.drivable import drivable_directions
-from skyproof.imagery.exposure import picture_of
+from skyproof.imagery.photographs import picture_of
 from skyproof.imagery.tiles.tile_index import copy_ground_index
 from skyproof.layout import CLEARING_RECORD
 from skyproof.scenes.background_index import BackgroundTile, save_map, save_tile, write_index

@@ -29,7 +29,7 @@ from skyproof.imagery.clearing.vehicle_masks import (
     stack_profiles,
     window_around,
 )
-from skyproof.imagery.exposure import by_picture, exposure_of
+from skyproof.imagery.photographs import by_picture, exposure_of
 from skyproof.scenes.background_index import BackgroundTile
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.light import Light, SunEstimate, rounded_levels

@@ -15,10 +15,9 @@ from skyproof.datasets.coco import Annotation, CocoWriter
 from skyproof.errors import ImageryError
 from skyproof.files import write_json
 from skyproof.imagery.drivable import drivable_directions
-from skyproof.imagery.exposure import lit_tiles, some_of, sun_over
 from skyproof.imagery.labels.label import Labels
+from skyproof.imagery.photographs import lit_tiles, measure_sensor, some_of, sun_over
 from skyproof.imagery.settings import LabelSettings, SourceSettings, TilingSettings
-from skyproof.imagery.sharpness import measure_sensor
 from skyproof.imagery.tiles.grid import Cell, assign_splits, cells_of, lay_grids
 from skyproof.imagery.tiles.placed_labels import PlacedLabels
 from skyproof.imagery.tiles.sources import Source, SourceReader, find_images, inspect_source
