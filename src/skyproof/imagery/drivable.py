@@ -52,27 +52,23 @@ def drivable_directions(
     result = np.zeros(tuple(image.shape[1:]), np.uint8)
     if min(image.shape[1:]) < 3 * cell_px or (vehicles is not None and not len(vehicles)):
         return result
-    cells = _cells(image, cell_px)
+    averaged = F.avg_pool2d(image.float(), cell_px) / 255
+    cells = averaged.permute(1, 2, 0).double().contiguous().numpy()
     grey = _mean(cells)
     colour = ndimage.uniform_filter(cells, (3, 3, 0))
     plain = _plain(grey, cell_m)
-    if vehicles is None:
-        free = _tidied(plain & _grey(colour))
-    else:
-        boxes = vehicles.double().numpy() / cell_px
-        free = _tidied(plain & _like_beside(colour, plain, boxes, cell_m))
+    boxes = np.zeros((0, 4)) if vehicles is None else vehicles.double().numpy() / cell_px
+    like = _grey(colour) if vehicles is None else _like_beside(colour, plain, boxes, cell_m)
+    # Specks are removed and pinholes filled.
+    opened = ndimage.binary_opening(plain & like)
+    free: _Mask = ndimage.binary_closing(opened) | opened
+    if vehicles is not None:
         free = _touching(free, boxes, cell_m)
     directions = np.where(free, direction_values(_heading_rad(grey, cell_m)), 0).astype(np.uint8)
     directions = with_room(directions, free, cell_m)
     fine = np.repeat(np.repeat(directions, cell_px, 0), cell_px, 1)
     result[: fine.shape[0], : fine.shape[1]] = fine
     return result
-
-
-def _cells(image: Pixels, cell_px: int) -> _Grid:
-    """Averages the picture over whole cells, `[rows, columns, 3]` in 0 to 1."""
-    averaged = F.avg_pool2d(image.float(), cell_px) / 255
-    return averaged.permute(1, 2, 0).double().contiguous().numpy()
 
 
 def _plain(grey: _Grid, cell_m: float) -> _Mask:
@@ -142,13 +138,6 @@ def _grown(box: _Grid, margin: float) -> tuple[slice, slice]:
     rows = slice(max(0, math.floor(top - margin)), max(0, math.ceil(bottom + margin)))
     columns = slice(max(0, math.floor(left - margin)), max(0, math.ceil(right + margin)))
     return rows, columns
-
-
-def _tidied(free: _Mask) -> _Mask:
-    """Removes specks and fills pinholes."""
-    opened = ndimage.binary_opening(free)
-    closed: _Mask = ndimage.binary_closing(opened) | opened
-    return closed
 
 
 def _heading_rad(grey: _Grid, cell_m: float) -> _Grid:

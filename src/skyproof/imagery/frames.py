@@ -70,19 +70,19 @@ def read_frames_folder(
 ) -> Dataset:
     """Reads images of 8 bits with labels in pixels: COCO, YOLO text or DOTA text.
 
-    Args:
-        folder: folder of the images, or of an `images` folder.
-        labels: path for `read_labels`; `folder` by default.
-        target_gsd_m: resolution to which images and boxes are resampled.
-        classes: names that count as vehicles; every other class becomes an ignore region.
-        border_px: width in source pixels of a border band that is not scored.
+    Images lie in `folder` or its `images`, and labels there unless a path is given. They are
+    resampled to `target_gsd_m`. Classes that are not named become ignore regions, as does a border
+    of `border_px` source pixels.
 
     Raises:
         ImageryError: there are no images, or one is damaged or has no labels; the labels lack a
             class, have another form, map coordinates or another image size, or lie outside their
             image.
     """
-    files = _image_files(folder, pattern) or _image_files(folder / "images", pattern)
+    for place in (folder, folder / "images"):
+        files = sorted(one for one in place.glob(pattern) if one.suffix.lower() in _SUFFIXES)
+        if files:
+            break
     if not files:
         raise ImageryError(f"{folder} holds no image matching {pattern!r}; give another folder.")
     place = folder if labels is None else labels
@@ -108,14 +108,9 @@ def read_frames_folder(
         pictures.append(FramePicture(file, source_px, size_px))
         boxes.append(truths * scale)
         ignore.append(ignored * scale)
-    return Dataset(
-        pictures=pictures,
-        boxes=boxes,
-        ignore=ignore,
-        ids=[file.stem for file in files],
-        gsd_m=target_gsd_m,
-        visible_fractions=[torch.full((len(truths),), torch.nan) for truths in boxes],
-    )
+    unknown = [torch.full((len(truths),), torch.nan) for truths in boxes]
+    ids = [file.stem for file in files]
+    return Dataset(pictures, boxes, ignore, ids, target_gsd_m, visible_fractions=unknown)
 
 
 def _labels_of(
@@ -149,10 +144,6 @@ def _resized(
             "resolution, or cut it into smaller frames."
         )
     return width, height
-
-
-def _image_files(folder: Path, pattern: str) -> list[Path]:
-    return sorted(file for file in folder.glob(pattern) if file.suffix.lower() in _SUFFIXES)
 
 
 def _size_px(path: Path) -> tuple[int, int]:

@@ -160,10 +160,7 @@ def some_of(tiles: Sequence[Item]) -> Sequence[Item]:
 def ground_pixels(
     image: Pixels, vehicles_px: Float[Tensor, "n 2"], *, gsd_m: float
 ) -> UInt8[Tensor, "P 3"]:
-    """Takes every third pixel along and across, except those near the middles (x, y) of vehicles.
-
-    White paint and glints are brighter than any ground (at Munich by half).
-    """
+    """Takes every third pixel along and across, but none near a vehicle: its paint may glint."""
     sampled = image[:, ::STRIDE_PX, ::STRIDE_PX]
     rows, columns = sampled.shape[1:]
     x = torch.arange(columns) * STRIDE_PX + 0.5
@@ -213,10 +210,7 @@ def lit_tiles(
     vehicles_px: Mapping[str, Float[Tensor, "n 2"]],
     notes: list[str],
 ) -> list[BackgroundTile]:
-    """Measures how each source shows light, and gives it to its tiles; sources may show too little.
-
-    `suns` and the middles of known vehicles come by the tiles' ids.
-    """
+    """Measures how each source shows light, and gives it with the tile's sun to its tiles."""
     backgrounds = BackgroundSet(folder, gsd_m, tiles)
     measured: dict[str, Light] = {}
     for source, of_one in by_picture(tiles).items():

@@ -62,8 +62,7 @@ def open_raster(path: Path) -> DatasetReader:
     """Opens a GeoTIFF, JPEG, PNG, JPEG 2000 or VRT.
 
     Raises:
-        ImageryError: it has more than `LARGEST_RASTER_PX` pixels, or blocks of more than
-            `LARGEST_PX`; a VRT holds code or names a file outside its folder.
+        ImageryError: it or its blocks are too large; a VRT holds code or names a file elsewhere.
         RasterioError: it cannot be read.
     """
     path = Path(path)

@@ -21,7 +21,7 @@ _FEW_TILES = 12
 def cleared_words(record: dict[str, Any], out: Path, *, checked: bool) -> Iterator[str]:
     """Yields counts, hints at mistakes, and the sheet to inspect, from the record of a clearing."""
     totals = record["totals"]
-    reasons = [f"{count} because {why}" for why, count in totals["left_out"].items()]
+    reasons = (f"{count} because {why}" for why, count in totals["left_out"].items())
     left_out = ", ".join(reasons) or "none"
     yield f"Tiles: {totals['kept']} of {totals['tiles']} kept; left out: {left_out}."
     yield from emptied_words(totals["splits_without_tiles"])
@@ -96,8 +96,7 @@ def warnings(totals: dict[str, Any], vehicles_from: list[str]) -> list[str]:
 
 def tiling_words(record: TilingRecord, *, labelled: bool) -> Iterator[str]:
     """Yields notes, counts of tiles, and a warning if they are too few for a test."""
-    for note in record.notes[:_NOTES_SHOWN]:
-        yield f"  note: {note}"
+    yield from (f"  note: {note}" for note in record.notes[:_NOTES_SHOWN])
     if len(record.notes) > _NOTES_SHOWN:
         yield f"  note: {len(record.notes) - _NOTES_SHOWN} more in tiling.json"
     for split in SPLITS:

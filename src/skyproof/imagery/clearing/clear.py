@@ -55,8 +55,8 @@ _REMEDY = "copy the whole folder again, or clear the imagery again"
 class Cleared:
     """The row of one tile in the record.
 
-    Counts are of labelled objects (ignore regions included), vehicles that only the detector found
-    (repairs included), kept places, and vehicles that the checker still found (None without one).
+    `labelled` objects include ignore regions, `detected` vehicles those that repairs removed, and
+    `remaining` ones were still found by the checker (None without one).
     """
 
     id: str
@@ -157,13 +157,12 @@ def clear_backgrounds(
                 kept.append(_stored(clearing, lit, image, found[tile.id]))
             if progress is not None:
                 progress("clear", done, len(tiles))
-    record = _record(clearing, rows, shadows)
+    record = _record(clearing, rows, shadows) | lights_record(lights)
     if not kept:
         reasons = ", ".join(f"{count} {why}" for why, count in record["totals"]["left_out"].items())
         raise ImageryError(
             f"No tile of {folder} could be cleared ({reasons}); give a better detector."
         )
-    record |= lights_record(lights)
     write_json(out / CLEARING_RECORD, record)
     copy_ground_index(folder, out, {tile.id for tile in kept})
     write_index(out, backgrounds.gsd_m, kept, backgrounds.sensor, backgrounds.light)

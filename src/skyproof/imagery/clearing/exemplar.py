@@ -58,10 +58,9 @@ def fill_ground(image: Pixels, mask: Bool[Tensor, "H W"]) -> Pixels:
 def fill_by_exemplar(image: Array, mask: Flags) -> Array:
     """Returns `[H, W, 3]` with `mask` filled with ground of the same picture, unchanged elsewhere.
 
-    For every piece of a hole the known ring around it is compared with the same ring at all shifts
-    within a reach (by Fourier transform). Each of the best shifts fills the side that it suits
-    best, and a screened Poisson equation joins them to the ring. If no place nearby is large enough
-    and free of vehicles, the colours of the hole's edge go on into it smoothly.
+    The known ring around a piece of a hole is compared with the same ring at all shifts within a
+    reach. Each of the best shifts fills the side that it suits best. Without any, the colours of
+    the hole's edge go on into it smoothly.
     """
     filled = image.copy()
     unknown = mask.copy()
@@ -91,19 +90,17 @@ def _pieces(mask: Flags) -> list[Flags]:
     """Divides the connected holes, large ones into about square pieces."""
     labels, _ = ndimage.label(mask, structure=np.ones((3, 3)))
     pieces = []
-    for number, (rows, columns) in enumerate(ndimage.find_objects(labels), start=1):
-        piece = labels == number
-        height, width = rows.stop - rows.start, columns.stop - columns.start
-        down = math.ceil(height / _PIECE_PX)
-        across = math.ceil(width / _PIECE_PX)
-        edges_y = [rows.start + height * row // down for row in range(down + 1)]
-        edges_x = [columns.start + width * column // across for column in range(across + 1)]
-        for top, bottom in itertools.pairwise(edges_y):
-            for left, right in itertools.pairwise(edges_x):
-                part = np.zeros_like(mask)
-                part[top:bottom, left:right] = piece[top:bottom, left:right]
-                if part.any():
-                    pieces.append(part)
+    for number, found in enumerate(ndimage.find_objects(labels), start=1):
+        cuts = []
+        for side in found:
+            length = side.stop - side.start
+            count = math.ceil(length / _PIECE_PX)
+            cuts.append([side.start + length * each // count for each in range(count + 1)])
+        for (top, bottom), (left, right) in itertools.product(*map(itertools.pairwise, cuts)):
+            part = np.zeros_like(mask)
+            part[top:bottom, left:right] = labels[top:bottom, left:right] == number
+            if part.any():
+                pieces.append(part)
     return pieces
 
 
@@ -217,8 +214,7 @@ def _shifted(values: NDArray[Any], shift: Shift) -> NDArray[Any]:
 def _join(window: _Window, copies: Array, choice: NDArray[np.int64], hold: float) -> Array:
     """Solves a screened Poisson equation in the hole.
 
-    The result approaches the differences between neighbours in `copies` `[S, H, W, 3]`, chosen by
-    `choice`, the ring and, with weight `hold`, the copies themselves.
+    Neighbours differ as in `copies` `[S, H, W, 3]`, chosen by `choice`; `hold` is their own weight.
     """
     # The numbered pixels of the hole are the unknowns.
     rows, columns = np.nonzero(window.hole)

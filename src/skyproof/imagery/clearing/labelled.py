@@ -64,20 +64,13 @@ def read_labels_of_tiles(folder: Path) -> dict[str, TileLabels] | None:
 def removed_vehicles(
     image: Pixels, labels: TileLabels, detected: Boxes, gsd_m: float
 ) -> tuple[RemovedVehicle, ...]:
-    """Returns the places and headings of a tile's labelled and detected vehicles.
-
-    Headings come from oriented labels, else from the picture (`estimate_stance`). They are unknown
-    if the tile's border cuts the vehicle.
-    """
+    """Returns places and headings of a tile's vehicles; one cut by the border has no heading."""
     places = [_labelled_vehicle(image, row, gsd_m) for row in labels.vehicles]
     for box in detected.tolist():
         middle = ((box[0] + box[2]) / 2, (box[1] + box[3]) / 2)
         places.append(_pictured_vehicle(image, middle, box, gsd_m))
-    return tuple(
-        place
-        for place in places
-        if 0 <= place.x_px <= image.shape[2] and 0 <= place.y_px <= image.shape[1]
-    )
+    height, width = image.shape[1:]
+    return tuple(at for at in places if 0 <= at.x_px <= width and 0 <= at.y_px <= height)
 
 
 def _labelled_vehicle(image: Pixels, row: AnnotationRow, gsd_m: float) -> RemovedVehicle:
@@ -91,8 +84,7 @@ def _labelled_vehicle(image: Pixels, row: AnnotationRow, gsd_m: float) -> Remove
         width_m = gsd_m * math.dist(left_side, right_side)
         if 0 < width_m <= length_m <= LONGEST_M:
             heading_rad = math.atan2(rear[1] - front[1], front[0] - rear[0]) % math.pi
-            stance = (heading_rad, length_m, width_m)
-            return _removed(_between(front, rear), "label", stance)
+            return _removed(_between(front, rear), "label", (heading_rad, length_m, width_m))
     whole = width and height and (row.visible_fraction is None or row.visible_fraction >= WHOLE)
     box = (left, top, left + width, top + height) if whole else None
     return _pictured_vehicle(image, middle, box, gsd_m)
@@ -127,16 +119,13 @@ def _between(first: Point, second: Point) -> Point:
 def estimate_stance(
     image: Pixels, box: Sequence[float], gsd_m: float
 ) -> tuple[float, float, float] | None:
-    """Estimates a vehicle's heading and sides from an upright box around it, pixel xyxy.
+    """Estimates heading, length and width of a vehicle from an upright box around it, pixel xyxy.
 
     It takes the heading, in steps of 2 degrees, whose rectangle fits best: the box around it must
     have the given width and height (w = l |cos| + b |sin|, less rounded corners), its sides must be
-    a small vehicle's, and the picture must have edges along its outline. The box alone cannot
-    distinguish a heading from its mirror image, but the outline can. A square box, as for a point
-    label, does not show the heading: the outline decides alone. Errors: docs/imagery.md.
-
-    It returns the heading from x (right) towards up, modulo pi, in radians, then length and width
-    in metres; None if the box fits no small vehicle.
+    a small vehicle's, and the picture must have edges along its outline. Only the outline tells a
+    heading from its mirror image, and shows that of a square box. Errors: docs/imagery.md. The
+    heading runs from x (right) towards up, modulo pi. None: the box fits no small vehicle.
     """
     left, top, right, bottom = box
     width_m, height_m = (right - left) * gsd_m, (bottom - top) * gsd_m
@@ -189,8 +178,7 @@ def _outline(
     columns = slice(max(0, int(left - margin_px)), math.ceil(right + margin_px))
     part = image[:, rows, columns].numpy().astype(np.float64) / 255
     part = ndimage.gaussian_filter(part, (0, 0.7, 0.7))
-    down = ndimage.sobel(part, 1) / 8
-    across = ndimage.sobel(part, 2) / 8
+    down, across = ndimage.sobel(part, 1) / 8, ndimage.sobel(part, 2) / 8
     xx, yy, xy = (across**2).sum(0), (down**2).sum(0), (across * down).sum(0)
     within = (
         slice(max(0, int(top) - rows.start), max(1, math.ceil(bottom) - rows.start)),
@@ -202,10 +190,10 @@ def _outline(
     half = np.full_like(steps, 0.5)
     sides = [(steps, half, False), (steps, -half, False), (half, steps, True), (-half, steps, True)]
     total = np.zeros(len(headings))
+    cosine, sine = np.cos(headings)[:, None], np.sin(headings)[:, None]
     for along, aside, is_end in sides:
         u_px = lengths[:, None] * along / gsd_m
         v_px = widths[:, None] * aside / gsd_m
-        cosine, sine = np.cos(headings)[:, None], np.sin(headings)[:, None]
         x = (left + right) / 2 + cosine * u_px - sine * v_px
         y = (top + bottom) / 2 - sine * u_px - cosine * v_px
         # The normal, with y down: along the heading at an end, across it at a long side.

@@ -128,10 +128,9 @@ def measured_lights(
 ) -> dict[str, Light]:
     """Measures each photograph's light: sun and sky by vehicles' shadows, the rest by its ground.
 
-    A sun of a date and time stays. If vehicles cast no shadow, all light is the sky's. If their
-    shadows do not show the sun, it is the `shared_sun` of the set's other photographs. The sky is
-    overcast if at least three others are, and three for each that has a sun, because vehicles that
-    stand alike may imitate a sun under clouds. `vehicles` come by the tiles' ids.
+    A sun of a date and time stays. If vehicles cast no shadow, all light is the sky's. A sun that
+    they do not show is the `shared_sun` of the set's other photographs, unless three of them are
+    overcast for each that has a sun, because vehicles that stand alike may imitate a sun.
     """
     lights = {
         name: _light_by_vehicles(backgrounds, of_picture, vehicles)
@@ -170,8 +169,7 @@ def _light_by_vehicles(
     with suppress(ImageryError):
         found = exposure_of(backgrounds, tiles, middles_px)
         known = replace(known, white=found.white, black=found.black)
-    footprints = {tile.id: Footprints.of(vehicles[tile.id], gsd_m) for tile in tiles}
-    shown = {name: one for name, one in footprints.items() if one.headings_rad}
+    shown = {tile.id: Footprints.of(vehicles[tile.id], gsd_m) for tile in tiles}
     profiles = [
         darkness_profiles(backgrounds.pixels(name), one.boxes, one.headings_rad, gsd_m=gsd_m)
         for name, one in shown.items()
@@ -197,9 +195,8 @@ def casts_no_shadow(profiles: Iterable[Float[Tensor, "_ directions layers"]]) ->
 def estimate_sun(profiles: Iterable[Float[Tensor, "_ directions layers"]]) -> SunEstimate | None:
     """Estimates the place of the sun from the `darkness_profiles` of boxes with their headings.
 
-    The azimuth is opposite to the shadows' side, with a standard deviation from a bootstrap over
-    vehicles. The elevation follows from the end of the shadow of a vehicle of 1.5 m. It is None
-    with fewer than 3 vehicles, without clear shadows, or with an azimuth uncertain by 30 degrees.
+    The elevation follows from the end of the shadow of a vehicle of 1.5 m. It is None with fewer
+    than 3 vehicles, without clear shadows, or with an azimuth uncertain by 30 degrees (bootstrap).
     """
     stacked = stack_profiles(profiles)
     if len(stacked) < FEWEST_VEHICLES:
@@ -229,8 +226,7 @@ def shadow_light(
 ) -> Float[Tensor, "m 3"]:
     """Measures the share of red, green and blue light in the shadow of each vehicle, `[m, 3]`.
 
-    It compares the ground next to the vehicle with that on its other side, less the photograph's
-    black. Vehicles without enough free ground on both sides are skipped.
+    It compares the ground next to the vehicle with that on its other side, less the black.
     """
     linear = srgb_to_linear(image.double() / 255) - torch.tensor(light.black)[:, None, None]
     values = linear.clamp(min=0.0).numpy()
@@ -258,8 +254,8 @@ def shadow_light(
 def with_sky(light: Light, ratios: Iterable[Float[Tensor, "_ 3"]]) -> Light:
     """Returns the light with the sky's share in the median vehicle's shadow, if at least 3 show it.
 
-    The share is corrected for the sky that the vehicle itself hides. The light stays unless the sun
-    is below 60 degrees by two standard deviations: above, hardly any shadow lies beside a vehicle.
+    The light stays unless the sun is below 60 degrees by two standard deviations: above, hardly any
+    shadow lies beside a vehicle.
     """
     sun = light.sun
     if sun is None or sun.elevation_rad + 2 * sun.elevation_sd_rad > _HIGHEST_FOR_SKY_RAD:

@@ -73,12 +73,11 @@ def darkness_profiles(
 ) -> Float[Tensor, "n directions layers"]:
     """Measures how dark the ground beside each box is, by direction and by layer outwards.
 
-    Each box is turned about its middle by its heading, if given. A layer is the ground that a box
-    newly covers when it moves by `LAYER_M`. Values are 1 - brightness / median brightness within 4
-    m, cut to [-0.5, 1], or nan if other boxes or the picture's edge leave no pixels.
+    A layer is the ground that a box newly covers when it moves by `LAYER_M`. Values are 1 -
+    brightness / median brightness within 4 m, cut to [-0.5, 1], or nan without free pixels.
     """
     grey = image.double().mean(0).numpy()
-    turns = [0.0] * len(boxes) if headings_rad is None else list(headings_rad)
+    turns = [0.0] * len(boxes) if headings_rad is None else headings_rad
     taken = covered_ground(boxes, turns, grey.shape)
     layers = round(LONGEST_SHADOW_M / LAYER_M)
     profiles = np.full((len(boxes), DIRECTIONS, layers), np.nan)
@@ -179,12 +178,10 @@ def window_around(
     cosine, sine = abs(math.cos(turn_rad)), abs(math.sin(turn_rad))
     across = margin_px + ((right - left) * cosine + (bottom - top) * sine) / 2
     down = margin_px + ((right - left) * sine + (bottom - top) * cosine) / 2
+    middles = (((top + bottom) / 2, down, size_px[0]), ((left + right) / 2, across, size_px[1]))
     rows, columns = (
         slice(max(0, math.floor(at - reach)), max(0, min(size, math.ceil(at + reach))))
-        for at, reach, size in (
-            ((top + bottom) / 2, down, size_px[0]),
-            ((left + right) / 2, across, size_px[1]),
-        )
+        for at, reach, size in middles
     )
     return rows, columns
 

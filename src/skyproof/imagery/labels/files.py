@@ -127,7 +127,7 @@ def _read_ground_labels(path: Path, system_name: str | None = None) -> GroundLab
     import geopandas
 
     known = _BEGINNINGS.get(path.suffix.lower())
-    if known is not None and not path.read_bytes()[: len(known)] == known:
+    if known is not None and not path.read_bytes().startswith(known):
         raise ImageryError(
             f"{path} is no {path.suffix.lower()} file inside; replace it, or name it as it is."
         )

@@ -2,7 +2,7 @@
 
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -52,8 +52,6 @@ class _CocoAnnotation(msgspec.Struct):
 
 
 class _CocoFile(msgspec.Struct):
-    """The fields of COCO that are read; others, such as outlines and licences, are skipped."""
-
     categories: list[_CocoCategory]
     images: list[_CocoImage]
     annotations: list[_CocoAnnotation]
@@ -85,7 +83,7 @@ class _LabelledImages:
             require_inside(label, self.sizes_px[name], where)
         self.labels[name].append(label)
 
-    def with_classes(self, classes: Sequence[str]) -> ImageLabels:
+    def with_classes(self, classes: Iterable[str]) -> ImageLabels:
         images = {name: tuple(labels) for name, labels in self.labels.items()}
         return ImageLabels(tuple(classes), images, self.sizes_px)
 
@@ -120,14 +118,13 @@ def read_coco_labels(path: Path) -> ImageLabels:
             raise _damaged(where, f"belongs to image {row.image_id}, which is not listed")
         if row.category_id not in categories:
             known = ", ".join(f"{key} ({name})" for key, name in categories.items()) or "none"
-            raise _damaged(
-                where, f"has category {row.category_id} but the file lists {known[:500]}"
-            )
+            what = f"has category {row.category_id} but the file lists {known[:500]}"
+            raise _damaged(where, what)
         left, top, width, height = row.bbox
         box = (left, top, left + width, top + height)
         label = _upright(categories[row.category_id], box, where, bool(row.iscrowd))
         images.add(names[row.image_id], label, where)
-    return images.with_classes(tuple(dict.fromkeys(categories.values())))
+    return images.with_classes(dict.fromkeys(categories.values()))
 
 
 def class_file(folder: Path) -> Path | None:
@@ -144,10 +141,9 @@ def class_file(folder: Path) -> Path | None:
 
 
 def read_yolo_labels(folder: Path, names: Path) -> ImageLabels:
-    """Reads `.txt` files beside their images, or in `labels/` beside `images/`.
+    """Reads `class cx cy w h` or `class x1 y1 ... x4 y4` lines, as shares of the image's sides.
 
-    Lines are `class cx cy w h` or `class x1 y1 ... x4 y4`, as shares of the image's sides. Texts
-    without an image of their name, such as a read-me, are skipped.
+    Texts without an image of their name, such as a read-me, are skipped.
     """
     classes = _classes(names)
     images = _LabelledImages(folder)
@@ -251,11 +247,7 @@ def _is_number(word: str) -> bool:
 
 
 def read_dota_labels(folder: Path) -> ImageLabels:
-    """Reads `x1 y1 ... x4 y4 class difficult` lines, one `.txt` an image.
-
-    Difficult objects become ignore regions. Labels are checked against the size of an image beside
-    the text, or in `images/` beside `labelTxt/`.
-    """
+    """Reads `x1 y1 ... x4 y4 class difficult` lines; difficult objects become ignore regions."""
     images = _LabelledImages(folder)
     for text in sorted(folder.glob("*.txt")):
         image = _image_of(text)
@@ -307,19 +299,16 @@ def _finite_numbers(words: Sequence[str]) -> list[float]:
 
 def _image_of(text: Path) -> Path | None:
     """Finds the image of the same stem, beside the text or in `images` instead of `labels`."""
-    folders = [text.parent]
-    parts = list(text.parent.parts)
-    for index in reversed(range(len(parts))):
-        if parts[index] in LABEL_FOLDERS:
-            folders.append(Path(*parts[:index], IMAGE_FOLDER, *parts[index + 1 :]))
-            break
+    folders, parts = [text.parent], text.parent.parts
+    last = max((at for at, part in enumerate(parts) if part in LABEL_FOLDERS), default=None)
+    if last is not None:
+        folders.append(Path(*parts[:last], IMAGE_FOLDER, *parts[last + 1 :]))
     endings = [spelt for suffix in RASTER_SUFFIXES for spelt in (suffix, suffix.upper())]
     candidates = (folder / f"{text.stem}{ending}" for folder in folders for ending in endings)
     return next((image for image in candidates if image.is_file()), None)
 
 
 def _image_size_px(path: Path) -> tuple[int, int]:
-    """Reads width and height from an image's header."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)

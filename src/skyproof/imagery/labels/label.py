@@ -139,9 +139,8 @@ def sort_labels(
     """Divides the labels of one image into vehicles `[n, 4]` and ignore regions `[m, 4]`.
 
     Vehicles are labels of the named classes whose centre lies in the image, inside its border band.
-    Every other label that touches the image becomes an ignore region. Boxes are cut at the image's
-    edge. The border band becomes four ignore regions after the others. `point_box_px` is the side
-    of the box around a label that is a point.
+    Every other label that touches the image becomes an ignore region, and so does the band. Boxes
+    are cut at the image's edge. A point gets a box of side `point_box_px`.
     """
     (width, height), half = size_px, point_box_px / 2
     truths: list[Box] = []

@@ -161,14 +161,12 @@ def extent_of(source: Source, crs: CRS | None) -> Extent:
 
 
 def lay_grids(sources: Sequence[Source], settings: TilingSettings, notes: list[str]) -> list[Grid]:
-    """Lays grids over sources; refuses sources without a whole cell.
+    """Lays grids over sources, whose extents touch in each; refuses sources without a whole cell.
 
-    Sources whose extents touch share a grid. Its system is that of its first source if a unit there
-    is a metre on the ground, so that imagery of the wanted resolution need not be resampled, and
-    otherwise the UTM zone. Cells lie at multiples of their size, so that a place falls in the same
-    cell in every run. Imagery of fewer than eight cells across begins its grid at its own corner,
-    because it could not afford cut cells. Cells shrink, at most to the minimum of the settings,
-    until every grid has one and there is one for each split.
+    The system is that of the first source if a unit there is a metre on the ground, so that imagery
+    need not be resampled, and otherwise the UTM zone. Cells lie at multiples of their size, so that
+    a place falls in the same cell in every run, except in imagery of fewer than eight cells across.
+    Cells shrink, at most to the minimum of the settings, until there is one for each split.
     """
     layouts = [_layout(sources, group) for group in _groups(sources)]
     size, gsd_m = settings.size_px, settings.gsd_m
@@ -272,14 +270,11 @@ def cells_of(grid: Grid) -> list[Cell]:
 def assign_splits(
     cells: Sequence[Cell], shares: Mapping[Split, float], *, generator: torch.Generator
 ) -> tuple[dict[str, Split], dict[str, float]]:
-    """Divides cells among the splits by their shares, in square blocks of neighbours.
+    """Divides cells among the splits by their shares; returns the width of blocks by grid, too.
 
-    A block of about 400 m goes to one split, so splits meet only at the edges of blocks. Its width
-    is halved until there are 24 blocks, so that the shares come out about right. Blocks are
-    shuffled, sorted by size, the largest first, and handed out one by one: first one to each split
-    that has none, then to the split that is furthest behind its share of the cells.
-
-    It returns the split of each cell, by id, and the width in metres of the blocks of each grid.
+    A block of about 400 m goes to one split. Its width is halved until there are 24 blocks, so that
+    the shares come out about right. Blocks are shuffled, sorted by size, the largest first, and go
+    to a split that has none, then to the one that is furthest behind its share.
     """
     width_m = WIDEST_BLOCK_M
     while True:

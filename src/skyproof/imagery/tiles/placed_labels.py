@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Int
-from numpy.typing import NDArray
 from rasterio.crs import CRS
 
 from skyproof.datasets.coco import Annotation
@@ -56,9 +55,9 @@ class _Placed:
 class PlacedLabels:
     """Labels in the coordinates of the tiles; `notes` tell which labels and images were left out.
 
-    A vehicle counts on the tile of its centre. It is an ignore region on the tiles beside it, and
-    if its source has no data at its centre. Labels in pixels count only on pixels of their own
-    source. An image without any entry in the labels, or without a place on their map, is ignored.
+    A vehicle counts on the tile of its centre, if its source has data there, and is an ignore
+    region on others. Labels in pixels count only on pixels of their own source. An image without
+    any entry in the labels, or without a place on their map, is ignored.
     """
 
     def __init__(
@@ -108,7 +107,8 @@ class PlacedLabels:
             moved = [label.moved([next(corners) for _ in label.corners]) for label in labels.labels]
             middles = np.array([label.middle for label in moved])
             for number in sorted(plane.sources):
-                in_source = _within(middles, extent_of(self._sources[number], plane.crs))
+                extent = np.reshape(extent_of(self._sources[number], plane.crs), (2, 2))
+                in_source = ((middles >= extent[0]) & (middles <= extent[1])).all(1)
                 if not in_source.any():
                     bare.append(self._sources[number].path.name)
                 inside |= in_source
@@ -140,9 +140,8 @@ class PlacedLabels:
                 f"The {total} labels of {path} belong to {len(unknown)} images ({unknown[0]}, ...) "
                 "and none of these is among the imagery; check the names."
             )
-        for plane, number in (
-            (p, n) for p in self._planes for n in sorted(self._planes[p].sources)
-        ):
+        planes = self._planes.items()
+        for plane, number in [(name, one) for name, its in planes for one in sorted(its.sources)]:
             source = self._sources[number]
             name, size_px = source.path.stem, (source.width_px, source.height_px)
             if name not in labels.images:
@@ -193,10 +192,7 @@ class PlacedLabels:
             self._bins[plane, column, row].append(item)
 
     def on(self, cell: Cell, owner: Int[np.ndarray, "S S"]) -> list[Annotation]:
-        """Returns vehicles and ignore regions of a tile.
-
-        `owner` is the number of each pixel's source, -1 for empty pixels.
-        """
+        """Returns vehicles and ignore regions of a tile whose pixels come from sources `owner`."""
         left, bottom, right, top = cell.extent
         near: dict[int, _Placed] = {}
         for place in itertools.product(_bins(left, right), _bins(bottom, top)):
@@ -207,12 +203,10 @@ class PlacedLabels:
     def _annotation(
         self, item: _Placed, cell: Cell, owner: Int[np.ndarray, "S S"]
     ) -> Annotation | None:
-        inverse = ~cell.transform
-        label = item.label.moved([inverse * corner for corner in item.label.corners])
+        label = item.label.moved([~cell.transform * corner for corner in item.label.corners])
         size = cell.size_px
         x, y = label.middle
-        unlabelled = label.class_name == EVERYTHING
-        ignore = label.ignore
+        unlabelled, ignore = label.class_name == EVERYTHING, label.ignore
         if unlabelled and not (owner == item.source).any():
             return None
         if not unlabelled:
@@ -263,9 +257,3 @@ def vehicle_classes(labels: Labels, settings: LabelSettings) -> tuple[str, ...]:
             "(small vehicles in the paper)."
         )
     return labels.classes
-
-
-def _within(places: NDArray[np.float64], extent: Extent) -> NDArray[np.bool_]:
-    left, bottom, right, top = extent
-    x, y = places[:, 0], places[:, 1]
-    return (x >= left) & (x <= right) & (y >= bottom) & (y <= top)

@@ -56,9 +56,7 @@ class Source:
 
 
 def find_images(paths: Sequence[Path]) -> list[Path]:
-    """Lists the images among `paths` and in the folders among them, sorted within a folder.
-
-    Of the sub-folders only `images/` is searched, and only if the folder itself holds no image.
+    """Lists the images among `paths`, and in the folders among them or their `images/`.
 
     Raises:
         ImageryError: a path is missing, a folder holds no image, or two images share a name.

@@ -23,8 +23,6 @@ _System = Annotated[str, Meta(pattern=r"\AEPSG:[0-9]{1,6}\Z")]
 
 
 class _TileProperties(msgspec.Struct):
-    """Properties of a tile; its bounds are left, bottom, right and top in its system."""
-
     id: Name
     file: FileReference
     split: Split
@@ -73,13 +71,10 @@ def write_ground_index(
 
 def copy_ground_index(folder: Path, out: Path, kept: Collection[str]) -> None:
     """Writes the polygons of the kept tiles, if there are any, to another or the same folder."""
-    if (Path(folder) / GROUND_INDEX).is_file():
-        _write(out, [one for one in _read(folder) if one.properties.id in kept])
-
-
-def _read(folder: Path) -> list[_Feature]:
-    index: _Features = read_document(Path(folder) / GROUND_INDEX, _Features, _REMEDY)
-    return index.features
+    path = Path(folder) / GROUND_INDEX
+    if path.is_file():
+        index: _Features = read_document(path, _Features, _REMEDY)
+        _write(out, [one for one in index.features if one.properties.id in kept])
 
 
 def _write(folder: Path, features: Sequence[_Feature]) -> None:

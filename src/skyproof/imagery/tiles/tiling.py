@@ -36,11 +36,8 @@ _SAME_NOTES = 8
 class TilingRecord:
     """The content of `tiling.json`.
 
-    Attributes:
-        blocks_m: width of the blocks of each grid.
-        counts: numbers of tiles, vehicles and ignore regions of each split.
-        empty: number of cells left out because more than 2 % of them is empty.
-        notes: sentences about assumptions, repairs, and images or labels that were left out.
+    `blocks_m` are the widths of the blocks of each grid, `counts` the tiles, vehicles and ignore
+    regions of each split, and `empty` cells were left out because more than 2 % of them is empty.
     """
 
     settings: dict[str, Any]

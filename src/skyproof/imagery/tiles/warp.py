@@ -40,9 +40,8 @@ class CellImage:
 def read_cell(cell: Cell, sources: Sequence[Source], reader: SourceReader) -> CellImage | None:
     """Reads a cell from its sources; None if they fill less than 98 % of it.
 
-    The first source that fills the cell to 98 % gives all of it. If none does, as on the seam of
-    two sheets, each source fills the pixels that those before it left empty. Empty pixels take the
-    colour of the nearest pixel with data, because a detector would learn a black edge as a sign.
+    The first source that fills so much gives all of it, else each fills what those before it left.
+    Empty pixels take the nearest colour, because a detector would learn a black edge as a sign.
     Overviews inside the files are not used, because many were made by point sampling.
     """
     parts: list[tuple[int, NDArray[np.uint8], NDArray[np.bool_]]] = []
@@ -149,11 +148,11 @@ def _window(
 ) -> tuple[Window | None, bool]:
     """Returns the part of a source that shows a piece, and whether the source reaches around it."""
     border = [transform * point for point in outline(shape[1], shape[0])]
-    places = np.array(to_reference_system(cell.crs, source.georeference.crs, border))
+    places = to_reference_system(cell.crs, source.georeference.crs, border)
     if not np.isfinite(places).all():
         return None, False
     inverse = ~source.georeference.transform
-    pixels = np.array([inverse * tuple(place) for place in places.tolist()])
+    pixels = np.array([inverse * place for place in places])
     low, high = pixels.min(0), pixels.max(0)
     size_px = np.array([source.width_px, source.height_px])
     inside = bool((low >= -_TINY_PX).all() and (high <= size_px + _TINY_PX).all())
