@@ -41,11 +41,10 @@ def drivable_directions(
 ) -> UInt8[np.ndarray, "H W"]:
     """Makes a tile's map of drivable ground (`skyproof.scenes.directions`) from its picture.
 
-    Drivable ground is plain (without dark texture or steps, except painted lines) and wide enough
-    for a vehicle. Without labels (None) it is also grey: hardly saturated, not green, neither in
-    shadow nor white. With the boxes of labelled vehicles it has a colour as beside one of them, and
-    connects with the place of one. The heading runs along the edges around: the direction of least
-    change by the structure tensor of the picture. Limits: docs/imagery.md.
+    Drivable ground is plain (without dark texture or steps, except painted lines) and wide enough.
+    Without labels (None) it is also grey. With boxes of labelled vehicles it has a colour as beside
+    one of them, and connects with the place of one. The heading is the direction of least change by
+    the structure tensor of the picture. Limits: docs/imagery.md.
     """
     cell_px = max(1, round(CELL_M / gsd_m))
     cell_m = cell_px * gsd_m

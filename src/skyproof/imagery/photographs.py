@@ -66,12 +66,9 @@ _LOWEST_DEG = 5.0
 def measure_sensor(images: Iterable[Pixels]) -> Sensor:
     """Measures blur and noise of photographs; the paper has one blur for all (section S2.1).
 
-    Blur: light is read along the gradient across each of the strongest edges. A step behind a
-    Gaussian blur rises at most by step / (σ √(2π)) per pixel. Edges in the world may be soft, but
-    none is sharper than the sensor, so the lower quartile over all edges is taken.
-
-    Noise: the spread of the difference from a 3 x 3 median, in cells of 8 x 8 pixels. The plainest
-    cells count, so that texture is not taken for noise.
+    A step behind a Gaussian blur rises at most by step / (σ √(2π)) per pixel. Edges in the world
+    may be soft, but none is sharper than the sensor, so the lower quartile over the strongest edges
+    is taken. Noise is the spread of the difference from a 3 x 3 median in the plainest cells.
     """
     sigmas: list[Array] = []
     spreads: list[float] = []
@@ -175,10 +172,9 @@ def ground_pixels(
 def measure_exposure(grounds: Iterable[UInt8[Tensor, "P 3"]]) -> Light:
     """Measures white, black and white balance from `ground_pixels` of tiles of one source.
 
-    White comes from the brightest thousandth of the ground and from its median. Its colour is the
-    median of pixels whose channels differ by at most 12 %, and neutral if hardly any ground is so
-    grey. Black is the darkest 0.2 % of each channel. Ground of one kind, such as a field alone or
-    snow, misleads it, and a tint of more than a tenth is found in part.
+    White comes from the brightest thousandth of the ground and from its median, its colour from
+    nearly grey ground, and black from the darkest 0.2 % of each channel. Ground of one kind, such
+    as snow, misleads it, and a tint of more than a tenth is found in part.
     """
     pixels = np.concatenate([np.zeros((0, 3), np.uint8), *(each.numpy() for each in grounds)])
     if len(pixels) < FEWEST_PIXELS // STRIDE_PX**2 or pixels.max() - pixels.min() < STRIDE_PX:
@@ -194,10 +190,8 @@ def measure_exposure(grounds: Iterable[UInt8[Tensor, "P 3"]]) -> Light:
     white = float(np.clip(np.exp(logarithm), _LEAST_WHITE, _LARGEST_WHITE))
     spread = pixels.max(1).astype(float) - pixels.min(1)
     grey = light[spread <= GREY_SATURATION * np.maximum(pixels.max(1), 1)]
-    balance = np.ones(3)
-    if len(grey) >= FEWEST_GREY * len(pixels):
-        middle = np.median(grey, axis=0)
-        balance = middle / middle.mean()
+    middle = np.median(grey, axis=0) if len(grey) >= FEWEST_GREY * len(pixels) else np.ones(3)
+    balance = middle / middle.mean()
     black = np.clip(np.quantile(light, DARK_SHARE, axis=0) - _DEEPEST * white, 0.0, 0.3)
     return Light(white=rounded_levels(white * balance), black=rounded_levels(black))
 
@@ -227,11 +221,8 @@ def lit_tiles(
             f"exposure measured: white in the open sun would be shown as {min(whites):.2f} to "
             f"{max(whites):.2f} of the brightest value; vehicles will be drawn alike"
         )
-    lit = []
-    for tile in tiles:
-        light = replace(measured.get(tile.source, Light()), sun=suns.get(tile.id))
-        lit.append(replace(tile, light=light))
-    return lit
+    lights = [replace(measured.get(one.source, Light()), sun=suns.get(one.id)) for one in tiles]
+    return [replace(tile, light=light) for tile, light in zip(tiles, lights, strict=True)]
 
 
 def exposure_of(
@@ -240,10 +231,9 @@ def exposure_of(
     vehicles_px: Mapping[str, Float[Tensor, "n 2"]],
 ) -> Light:
     """Measures the exposure of one source on some of its tiles, away from vehicles."""
-    nothing, gsd_m = torch.zeros(0, 2), backgrounds.gsd_m
     return measure_exposure(
-        ground_pixels(backgrounds.pixels(tile.id), vehicles_px.get(tile.id, nothing), gsd_m=gsd_m)
-        for tile in some_of(tiles)
+        ground_pixels(backgrounds.pixels(one.id), vehicles_px[one.id], gsd_m=backgrounds.gsd_m)
+        for one in some_of(tiles)
     )
 
 

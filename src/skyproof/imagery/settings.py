@@ -34,9 +34,8 @@ class TilingSettings:
     Attributes:
         gsd_m: metres per pixel of the tiles.
         size_px: side of the tiles in pixels.
-        minimum_px: side to which tiles may shrink until there is one for each split; imagery that
-            still yields fewer is refused. With None tiles do not shrink, and a split may stay
-            empty.
+        minimum_px: side to which tiles may shrink until there is one for each split, or else the
+            imagery is refused; with None a split may stay empty.
         shares: shares of the tiles that go to train, validation, attack and test; a split with a
             share of 0 gets none.
     """

@@ -41,11 +41,8 @@ def cleared_words(record: dict[str, Any], out: Path, *, checked: bool) -> Iterat
 
 def emptied_words(splits: Sequence[str]) -> Iterator[str]:
     """Names the splits that have no tile any more."""
-    for split in splits:
-        yield (
-            f"No tile of the split {split} is left; give more imagery before using this folder "
-            "for it."
-        )
+    remedy = "give more imagery before using this folder for it"
+    yield from (f"No tile of the split {split} is left; {remedy}." for split in splits)
 
 
 def light_words(record: dict[str, Any]) -> Iterator[str]:
@@ -101,10 +98,8 @@ def tiling_words(record: TilingRecord, *, labelled: bool) -> Iterator[str]:
         yield f"  note: {len(record.notes) - _NOTES_SHOWN} more in tiling.json"
     for split in SPLITS:
         count = record.counts[split]
-        vehicles = ""
-        if labelled:
-            vehicles = f", {count['vehicles']} vehicles, {count['ignored']} ignore regions"
-        yield f"  {split:<10} {count['tiles']:>7} tiles{vehicles}"
+        vehicles = f", {count['vehicles']} vehicles, {count['ignored']} ignore regions"
+        yield f"  {split:<10} {count['tiles']:>7} tiles{vehicles if labelled else ''}"
     few = record.counts["test"]["tiles"]
     if 0 < few < _FEW_TILES:
         yield (

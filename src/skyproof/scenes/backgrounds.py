@@ -126,8 +126,7 @@ class BackgroundSet:
     def window(self, window: BackgroundWindow, size_px: int) -> Float[Tensor, "3 size_px size_px"]:
         """Cuts a square window, sRGB in [0, 1]: an exact copy on whole pixels, else bilinear.
 
-        Raises:
-            StoredFileError: the window's tile is not in this set, or the window reaches out of it.
+        A window that reaches out of its tile is a StoredFileError.
         """
         return self._cut(self.pixels(window.tile), window, size_px)
 
@@ -209,10 +208,7 @@ class BackgroundSet:
     def sample_window_on(
         self, tile: BackgroundTile, size_px: int, *, generator: torch.Generator
     ) -> BackgroundWindow:
-        """Draws a rotation, and a place with the window fully inside a tile.
-
-        On a tile without room to turn, the window turns by quarters and lies on whole pixels.
-        """
+        """Draws rotation and place on a tile: by quarters and whole pixels without room to turn."""
         turn, x, y = torch.rand(3, dtype=torch.float64, generator=generator).tolist()
         if not _has_room_to_turn(tile, size_px):
             left_px = math.floor(x * (tile.width_px - size_px + 1))

@@ -23,10 +23,7 @@ _Deviation = Annotated[float, Meta(ge=0, le=3.2)]
 
 @dataclass(frozen=True)
 class SunEstimate:
-    """The estimated place of the sun in the tile's axes, with standard deviations of its errors.
-
-    The azimuth runs from x (right) towards y (up), and the elevation from the horizon.
-    """
+    """The sun's place in the tile's axes, from x (right) towards y (up), with its errors."""
 
     azimuth_rad: Radians
     elevation_rad: SunElevation

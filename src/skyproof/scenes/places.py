@@ -21,12 +21,10 @@ _Side = Annotated[float, Meta(gt=0, le=1000)]
 
 @dataclass(frozen=True)
 class RemovedVehicle:
-    """The place and heading of a vehicle that was removed from a tile.
+    """The place and heading of a vehicle that was removed from a tile; unknown values are None.
 
-    Attributes:
-        x_px, y_px: middle in tile pixels from the top-left corner, continuous.
-        heading_rad: angle from the tile's x axis (right) towards up, modulo pi: nose and tail are
-            not distinguished. Unknown values are None.
+    The middle is in tile pixels from the top-left corner. The heading runs from the tile's x axis
+    (right) towards up, modulo pi: nose and tail are not distinguished.
     """
 
     x_px: Coordinate

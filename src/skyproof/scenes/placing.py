@@ -29,10 +29,7 @@ _POINTS_USED = 64
 
 @dataclass(frozen=True)
 class Place:
-    """A possible place of a vehicle in a scene, in metres east and north of the image's middle.
-
-    No heading allows any. The length is that of the vehicle that stood there.
-    """
+    """A possible place of a vehicle, in metres from the image's middle; None is any heading."""
 
     x_m: float
     y_m: float
@@ -69,9 +66,8 @@ class SceneDraw:
 def place_vehicles(draw: SceneDraw) -> tuple[BackgroundWindow, tuple[Placement, ...]]:
     """Draws a window and vehicles at places on its ground; none overlap.
 
-    The tile is uniform among those with places. The window is uniform on it among those with room
-    for the fewest vehicles (at least one, unless no vehicle was drawn). A random subset of a
-    window's places is taken, and a window with fewer places gets fewer vehicles.
+    The tile is uniform among those with places, the window among those with room for the fewest
+    vehicles (at least one). A random subset of a window's places is taken.
     """
     settings, backgrounds, generator = draw.settings, draw.backgrounds, draw.generator
     number = draw.number()
@@ -117,18 +113,12 @@ def _removed_places(tile: BackgroundTile, window: BackgroundWindow, gsd_m: float
     """Gives the places of a tile's removed vehicles in a window's axes; they may lie outside it."""
     cosine, sine = math.cos(window.rotation_rad), math.sin(window.rotation_rad)
     places = []
-    for vehicle in tile.removed:
-        across = vehicle.x_px - window.centre_x_px
-        down = vehicle.y_px - window.centre_y_px
+    for one in tile.removed:
+        across, down = one.x_px - window.centre_x_px, one.y_px - window.centre_y_px
         # The window's x axis is the tile's turned to the left, so its content turns right.
-        places.append(
-            Place(
-                (cosine * across - sine * down) * gsd_m,
-                -(sine * across + cosine * down) * gsd_m,
-                None if vehicle.heading_rad is None else vehicle.heading_rad - window.rotation_rad,
-                vehicle.length_m,
-            )
-        )
+        x_m, y_m = (cosine * across - sine * down) * gsd_m, -(sine * across + cosine * down) * gsd_m
+        heading_rad = None if one.heading_rad is None else one.heading_rad - window.rotation_rad
+        places.append(Place(x_m, y_m, heading_rad, one.length_m))
     return places
 
 

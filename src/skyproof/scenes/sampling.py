@@ -37,8 +37,7 @@ def sample_scenes(
     Every scene takes one 63-bit seed from `generator` and draws all else from that seed.
 
     Raises:
-        ConfigurationError: no tile is large enough, there are no vehicles, or the image or the
-            ground has no room for them.
+        ConfigurationError: there is no vehicle, no tile is large enough, or no room was found.
     """
     half_m = settings.half_m(backgrounds.gsd_m)
     if settings.vehicles_maximum > 0 and not vehicle_sizes_m:

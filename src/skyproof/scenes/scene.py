@@ -95,10 +95,7 @@ class Placement:
 
 @dataclass(frozen=True)
 class Scene:
-    """All data to render one image again, except the fleet and the background set.
-
-    The seed is that of the sensor noise.
-    """
+    """All data to render one image again, except fleet and background set; the noise has a seed."""
 
     id: Name
     background: BackgroundWindow

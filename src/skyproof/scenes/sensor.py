@@ -27,10 +27,7 @@ def chosen_blur_px(choice: BlurChoice) -> float:
 
 @dataclass(frozen=True)
 class Sensor:
-    """Standard deviations of Gaussian blur, and of noise in sRGB units.
-
-    The default is a sharp, quiet orthophoto at 12.5 cm per pixel.
-    """
+    """Standard deviations of blur and of noise (sRGB units); the default is a sharp orthophoto."""
 
     blur_sigma_px: Blur = 0.7
     noise: Noise = 0.006

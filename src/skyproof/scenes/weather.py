@@ -67,14 +67,10 @@ MIXED_CONDITIONS = ("clear", "haze", "overcast", "exposure", "noise", "jpeg", "l
 
 
 def draw_weather(condition: str, strength: float) -> Weather:
-    """The weather of one of `CONDITIONS` (section S7) at a strength, which scenes draw from [0, 1].
-
-    Other conditions are a ConfigurationError.
-    """
+    """The weather of one of `CONDITIONS` (section S7) at a strength, drawn from [0, 1]."""
     if condition not in CONDITIONS:
-        raise ConfigurationError(
-            f"There is no condition {condition!r}; choose from {', '.join(CONDITIONS)}."
-        )
+        known = ", ".join(CONDITIONS)
+        raise ConfigurationError(f"There is no condition {condition!r}; choose from {known}.")
     return CONDITIONS[condition](strength)
 
 

@@ -32,7 +32,7 @@ from skyproof.imagery.clearing.vehicle_masks import (
 )
 from skyproof.imagery.drivable import drivable_directions
 from skyproof.imagery.photographs import picture_of
-from skyproof.imagery.tiles.tile_index import copy_ground_index
+from skyproof.imagery.tiles.tiling import copy_ground_index
 from skyproof.layout import CLEARING_RECORD
 from skyproof.scenes.background_index import BackgroundTile, save_map, save_tile, write_index
 from skyproof.scenes.backgrounds import BackgroundSet
@@ -108,16 +108,10 @@ def clear_backgrounds(
 
     Labelled vehicles, ignored objects, and the detections of `finder` are removed. Without a
     finder, unlabelled regions are filled as a whole. Tiles on which `checker` still finds a vehicle
-    are repaired, and left out if that does not help. A contact sheet shows every tile that was
-    changed or left out. Every tile keeps the places of its vehicles, a new map of drivable ground,
-    and the sun and sky by the shadows of vehicles.
-
-    Args:
-        folder: a tiled folder, with or without `<split>/annotations.json`.
-        out: folder for the result; use `finished_folder` around it.
-        fill: fills a mask of a tile and leaves every byte outside it as it was.
-        checker: inspects the result at its own threshold.
-        progress: called with ("find" or "clear", tiles done, tiles in all).
+    are repaired, and left out if that does not help. Every tile keeps the places of its vehicles, a
+    new map of drivable ground, and the sun and sky by the shadows of vehicles. A contact sheet
+    shows the changes. Use `finished_folder` around `out`. `fill` fills a mask of a tile and leaves
+    every byte outside it. `progress` gets ("find" or "clear", tiles done, tiles in all).
 
     Raises:
         ConfigurationError: there are neither labels nor a finder, or a detector has another
@@ -299,11 +293,9 @@ def _record(
 
 
 def reject_tiles(folder: Path, ids: Sequence[str]) -> list[str]:
-    """Removes tiles from the index and the annotations, and returns the splits without tiles.
+    """Removes tiles from index and annotations, and returns the splits that are empty then.
 
-    Raises:
-        ConfigurationError: an id is not in the index, or no tile would stay.
-        StoredFileError: the folder is not a background set, or an annotation file is damaged.
+    An id that is not in the index, or all of them, are a ConfigurationError.
     """
     backgrounds = BackgroundSet.open(folder)
     tiles = backgrounds.all_tiles()

@@ -67,8 +67,7 @@ def removed_vehicles(
     """Returns places and headings of a tile's vehicles; one cut by the border has no heading."""
     places = [_labelled_vehicle(image, row, gsd_m) for row in labels.vehicles]
     for box in detected.tolist():
-        middle = ((box[0] + box[2]) / 2, (box[1] + box[3]) / 2)
-        places.append(_pictured_vehicle(image, middle, box, gsd_m))
+        places.append(_pictured_vehicle(image, _between(box[:2], box[2:]), box, gsd_m))
     height, width = image.shape[1:]
     return tuple(at for at in places if 0 <= at.x_px <= width and 0 <= at.y_px <= height)
 
@@ -79,9 +78,8 @@ def _labelled_vehicle(image: Pixels, row: AnnotationRow, gsd_m: float) -> Remove
     if row.corners_px is not None and len(row.corners_px) == 4:
         front_left, front_right, rear_right, rear_left = row.corners_px
         front, rear = _between(front_left, front_right), _between(rear_left, rear_right)
-        left_side, right_side = _between(front_left, rear_left), _between(front_right, rear_right)
-        length_m = gsd_m * math.dist(front, rear)
-        width_m = gsd_m * math.dist(left_side, right_side)
+        sides = _between(front_left, rear_left), _between(front_right, rear_right)
+        length_m, width_m = gsd_m * math.dist(front, rear), gsd_m * math.dist(*sides)
         if 0 < width_m <= length_m <= LONGEST_M:
             heading_rad = math.atan2(rear[1] - front[1], front[0] - rear[0]) % math.pi
             return _removed(_between(front, rear), "label", (heading_rad, length_m, width_m))

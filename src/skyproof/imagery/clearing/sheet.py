@@ -70,15 +70,14 @@ def _draw_row(row: SheetRow) -> Image.Image:
     before = torch.where(
         _outline(row.mask), torch.tensor(MASKED, dtype=torch.uint8)[:, None, None], row.before
     )
+    height, width = (round(side * scale) for side in row.mask.shape)
     pictures = []
     for pixels in (before, row.after):
         picture = Image.fromarray(pixels.permute(1, 2, 0).contiguous().numpy())
-        size = (round(picture.width * scale), round(picture.height * scale))
-        pictures.append(picture if scale == 1 else picture.resize(size, Image.Resampling.LANCZOS))
+        pictures.append(picture.resize((width, height), Image.Resampling.LANCZOS))
     draw = ImageDraw.Draw(pictures[1])
     for box in (row.remaining * scale).tolist():
         draw.rectangle([round(value) for value in box], outline=REMAINING, width=2)
-    width, height = pictures[0].size
     both = Image.new("RGB", (2 * width + GAP_PX, height), "white")
     both.paste(pictures[0], (0, 0))
     both.paste(pictures[1], (width + GAP_PX, 0))

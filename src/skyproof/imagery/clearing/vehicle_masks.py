@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 DIRECTIONS = 24
 LONGEST_SHADOW_M = 6.0
 LAYER_M = 0.25
+LAYERS = round(LONGEST_SHADOW_M / LAYER_M)
 NEAR_M = 1.0
 SAMPLE_LIMIT = 300
 FEWEST_VEHICLES = 3
@@ -79,8 +80,7 @@ def darkness_profiles(
     grey = image.double().mean(0).numpy()
     turns = [0.0] * len(boxes) if headings_rad is None else headings_rad
     taken = covered_ground(boxes, turns, grey.shape)
-    layers = round(LONGEST_SHADOW_M / LAYER_M)
-    profiles = np.full((len(boxes), DIRECTIONS, layers), np.nan)
+    profiles = np.full((len(boxes), DIRECTIONS, LAYERS), np.nan)
     for profile, box, turn_rad in zip(profiles, boxes.tolist(), turns, strict=True):
         rows, columns = window_around(box, LONGEST_SHADOW_M / gsd_m, grey.shape, turn_rad)
         free, values = ~taken[rows, columns], grey[rows, columns]
@@ -94,8 +94,8 @@ def darkness_profiles(
             arrival_m = arrival(box, _unit(number), rows, columns, turn_rad) * gsd_m
             counted = free & (arrival_m > 0) & (arrival_m < LONGEST_SHADOW_M)
             layer = (arrival_m[counted] / LAYER_M).astype(int)
-            number_in = np.bincount(layer, minlength=layers)
-            sums = np.bincount(layer, weights=darkness[counted], minlength=layers)
+            number_in = np.bincount(layer, minlength=LAYERS)
+            sums = np.bincount(layer, weights=darkness[counted], minlength=LAYERS)
             profile[number] = np.where(number_in >= 3, sums / np.maximum(number_in, 1), np.nan)
     return torch.from_numpy(profiles).float()
 
@@ -103,9 +103,8 @@ def darkness_profiles(
 def estimate_shadow(profiles: Iterable[Float[Tensor, "_ directions layers"]]) -> Shadow | None:
     """Estimates the shadow that all vehicles of one picture share; None with fewer than 3 vehicles.
 
-    It ends where the darkness, less that of the side across, falls below a quarter of its largest
-    value. It has no direction if no side is darker than the one across, as under an overcast sky,
-    or if it does not end within 6 m, as that of trees.
+    It has no direction if no side is darker than the one across, as under an overcast sky, or if it
+    does not end within 6 m, as that of trees.
     """
     stacked = stack_profiles(profiles)
     if len(stacked) < FEWEST_VEHICLES:
@@ -123,20 +122,16 @@ def estimate_shadow(profiles: Iterable[Float[Tensor, "_ directions layers"]]) ->
 
 def stack_profiles(profiles: Iterable[Float[Tensor, "_ directions layers"]]) -> Array:
     """Stacks the profiles of up to 300 vehicles with free ground, `[n, directions, layers]`."""
-    measured = [
-        darkness
-        for tensor in profiles
-        for darkness in tensor.double().numpy()
-        if np.isfinite(darkness).any()
-    ]
-    return np.stack(measured[:SAMPLE_LIMIT]) if measured else np.zeros((0, DIRECTIONS, 1))
+    every = [tensor.double().numpy() for tensor in profiles]
+    stacked = np.concatenate([np.zeros((0, DIRECTIONS, LAYERS)), *every])
+    return stacked[np.isfinite(stacked).any((1, 2))][:SAMPLE_LIMIT]
 
 
 def shadow_side(stacked: Array, near_m: float) -> tuple[tuple[float, float], Array, float]:
-    """Finds the side of the boxes on which the ground within `near_m` is dark.
+    """Finds the side of the boxes on which the ground within `near_m` is dark, in the median.
 
-    It returns the sum of all directions, weighted by the darkness near the boxes (the median over
-    vehicles), then the darkness by layer there, and near the boxes, less those of the side across.
+    It returns the sum of all directions, weighted by darkness, then the darkness by layer on that
+    side, and near the boxes, both less those of the side across.
     """
     near_layers = round(near_m / LAYER_M)
     near = _median_of(stacked[:, :, :near_layers].reshape(len(stacked), -1))

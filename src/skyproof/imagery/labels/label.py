@@ -66,10 +66,8 @@ class Label:
     def corners_lengthwise(self) -> tuple[Point, ...]:
         """Returns front left, front right, rear right and rear left; a short side is the front."""
         corners = self.corners
-        area = sum(
-            x0 * y1 - x1 * y0
-            for (x0, y0), (x1, y1) in zip(corners, (*corners[1:], corners[0]), strict=True)
-        )
+        sides = zip(corners, (*corners[1:], corners[0]), strict=True)
+        area = sum(x0 * y1 - x1 * y0 for (x0, y0), (x1, y1) in sides)
         # With y down a positive area runs clockwise, as seen, and so do front left and front right.
         if area < 0:
             corners = (corners[0], *reversed(corners[1:]))

@@ -149,13 +149,9 @@ def _distances_m(crs: CRS, places: Sequence[Point]) -> list[float] | None:
 
 def is_true_to_scale(crs: CRS, place: Point) -> bool:
     """Tells whether a unit is a metre to 0.15 %, as in UTM and most national grids."""
-    if not crs.is_projected:
-        return False
-    step = 100.0
-    lengths_m = _distances_m(crs, [place, (place[0] + step, place[1]), (place[0], place[1] + step)])
-    return lengths_m is not None and all(
-        abs(length / step - 1) < TRUE_TO_SCALE for length in lengths_m
-    )
+    (x, y), step = place, 100.0
+    lengths_m = _distances_m(crs, [place, (x + step, y), (x, y + step)]) or [math.inf]
+    return crs.is_projected and all(abs(one / step - 1) < TRUE_TO_SCALE for one in lengths_m)
 
 
 def system_of(name: str, path: object) -> CRS:

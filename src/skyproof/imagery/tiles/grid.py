@@ -62,12 +62,10 @@ class Cell:
 
     @property
     def side_m(self) -> float:
-        """Width and height in metres."""
         return self.size_px * self.gsd_m
 
     @property
     def extent(self) -> Extent:
-        """Left, bottom, right, top."""
         return self.left_m, self.top_m - self.side_m, self.left_m + self.side_m, self.top_m
 
     @property
@@ -90,7 +88,6 @@ class Grid:
 
     @property
     def side_m(self) -> float:
-        """Width and height of a cell in metres."""
         return self.size_px * self.gsd_m
 
     def places(self, extent: Extent, *, whole: bool) -> tuple[range, range]:
@@ -98,12 +95,11 @@ class Grid:
         slack = 0.5 * self.gsd_m / self.side_m * (1 if whole else -1)
         low, high = (math.ceil, math.floor) if whole else (math.floor, math.ceil)
         left, bottom, right, top = extent
+        across = left - self.left_m, right - self.left_m
+        down = self.top_m - top, self.top_m - bottom
         columns, rows = (
             range(low(first / self.side_m - slack), high(last / self.side_m + slack))
-            for first, last in (
-                (left - self.left_m, right - self.left_m),
-                (self.top_m - top, self.top_m - bottom),
-            )
+            for first, last in (across, down)
         )
         return columns, rows
 

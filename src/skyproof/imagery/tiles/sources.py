@@ -54,6 +54,11 @@ class Source:
     licence: str | None
     notes: tuple[str, ...]
 
+    @property
+    def smaller_side_m(self) -> float:
+        across_m, down_m = self.georeference.gsd_m
+        return min(self.width_px * across_m, self.height_px * down_m)
+
 
 def find_images(paths: Sequence[Path]) -> list[Path]:
     """Lists the images among `paths`, and in the folders among them or their `images/`.

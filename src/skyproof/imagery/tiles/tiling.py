@@ -3,33 +3,71 @@
 import dataclasses
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
+import msgspec
 import numpy as np
 import torch
+from msgspec import Meta
 
 from skyproof.datasets.coco import Annotation, CocoWriter
+from skyproof.documents import read_document
 from skyproof.errors import ImageryError
 from skyproof.files import write_json
 from skyproof.imagery.drivable import drivable_directions
 from skyproof.imagery.labels.label import Labels
 from skyproof.imagery.photographs import lit_tiles, measure_sensor, some_of, sun_over
 from skyproof.imagery.settings import LabelSettings, SourceSettings, TilingSettings
+from skyproof.imagery.tiles.georeference import DEGREES, outline, to_reference_system
 from skyproof.imagery.tiles.grid import Cell, assign_splits, cells_of, lay_grids
 from skyproof.imagery.tiles.placed_labels import PlacedLabels
 from skyproof.imagery.tiles.sources import Source, SourceReader, find_images, inspect_source
-from skyproof.imagery.tiles.tile_index import write_ground_index
 from skyproof.imagery.tiles.warp import CellImage, read_cell
+from skyproof.ranges import Coordinate, FileReference, Name
 from skyproof.scenes.background_index import BackgroundTile, save_map, save_tile, write_index
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.sensor import Sensor
 from skyproof.scenes.splits import SPLITS, Split
 
+GROUND_INDEX = "index.geojson"
+
+_REMEDY = "copy the whole folder again, or cut the imagery again"
+# Other names of systems, by PROJ and GDAL, are files and addresses.
+_System = Annotated[str, Meta(pattern=r"\AEPSG:[0-9]{1,6}\Z")]
+
 _WAITING = "waiting"
 _SAME_NOTES = 8
+
+
+class _TileProperties(msgspec.Struct):
+    id: Name
+    file: FileReference
+    split: Split
+    source: str
+    licence: str | None
+    crs: _System
+    bounds: tuple[Coordinate, Coordinate, Coordinate, Coordinate]
+
+
+class _Polygon(msgspec.Struct):
+    type: Literal["Polygon"]
+    coordinates: list[list[tuple[Coordinate, Coordinate]]]
+
+
+class _Feature(msgspec.Struct):
+    type: Literal["Feature"]
+    properties: _TileProperties
+    geometry: _Polygon | None = None
+
+
+class _Features(msgspec.Struct):
+    """The file; members that map tools added to it are skipped."""
+
+    type: Literal["FeatureCollection"]
+    features: list[_Feature]
 
 
 @dataclass(frozen=True)
@@ -65,12 +103,8 @@ def tile_imagery(
     it (`read_cell`), and blocks of cells go to the splits (`assign_splits`). Every place of
     georeferenced sources lies in one cell, so in one split. Images without georeference that show
     the same ground, such as frames of a flight, may share it between splits. Vehicles are later
-    drawn as sharp (`measure_sensor`) and as bright (`measure_exposure`) as the tiles.
-
-    Args:
-        paths: images, or folders of images; sub-folders are not searched.
-        labels: the labels, and their classes that count as vehicles.
-        progress: called with (cells done, cells in all).
+    drawn as sharp (`measure_sensor`) and as bright (`measure_exposure`) as the tiles. `labels` come
+    with their vehicle classes, and `progress` gets (cells done, cells in all).
 
     Raises:
         ImageryError: an image is missing, unreadable, without resolution, or coarser than 50 cm;
@@ -150,7 +184,7 @@ def _cut_tile(
     directions = drivable_directions(pixels, cell.gsd_m, vehicles)
     shown = [sources[number] for number in np.unique(image.owner[image.owner >= 0])]
     # A tile of several small images is named by their folders.
-    small = len(shown) > 1 and all(_smaller_side_m(source) < cell.side_m for source in shown)
+    small = len(shown) > 1 and all(source.smaller_side_m < cell.side_m for source in shown)
     names = (source.path.resolve().parent.name if small else source.path.name for source in shown)
     licences = dict.fromkeys(source.licence for source in shown if source.licence)
     _, row, column = cell.block
@@ -168,11 +202,6 @@ def _cut_tile(
     )
     save_tile(folder, tile, pixels)
     return tile, rows
-
-
-def _smaller_side_m(source: Source) -> float:
-    across_m, down_m = source.georeference.gsd_m
-    return min(source.width_px * across_m, source.height_px * down_m)
 
 
 def _refuse_too_few(count: int, settings: TilingSettings) -> None:
@@ -254,10 +283,8 @@ def _write_datasets(
     source = {"description": "skyproof tiles"}
     for split in SPLITS:
         with CocoWriter(folder / split, gsd_m=gsd_m, source=source) as writer:
-            for tile in tiles:
-                if tile.split == split:
-                    size_px = (tile.width_px, tile.height_px)
-                    writer.add_written(tile.id, size_px, annotations[tile.id])
+            for tile in (one for one in tiles if one.split == split):
+                writer.add_written(tile.id, (tile.width_px, tile.height_px), annotations[tile.id])
 
 
 def _counts(
@@ -283,3 +310,35 @@ def _describe(source: Source) -> dict[str, Any]:
         "nodata": None if source.nodata is None or math.isnan(source.nodata) else source.nodata,
         "licence": source.licence,
     }
+
+
+def write_ground_index(
+    folder: Path, tiles: Sequence[BackgroundTile], cells: Mapping[str, Cell]
+) -> None:
+    """Writes `index.geojson`: one polygon per georeferenced tile, WGS 84 longitude and latitude."""
+    features: list[_Feature] = []
+    for tile in tiles:
+        cell = cells[tile.id]
+        if cell.crs is None:
+            continue
+        border = [cell.transform * point for point in outline(cell.size_px, cell.size_px, steps=1)]
+        # GeoJSON runs anticlockwise, seen from above; rows of pixels run down.
+        ring = to_reference_system(cell.crs, DEGREES, [*reversed(border), border[-1]])
+        facts = (tile.id, tile.file, tile.split, tile.source, tile.licence)
+        properties = _TileProperties(*facts, cell.crs.to_string(), cell.extent)
+        polygon = _Polygon("Polygon", [[(round(x, 9), round(y, 9)) for x, y in ring]])
+        features.append(_Feature("Feature", properties, polygon))
+    _write(folder, features)
+
+
+def copy_ground_index(folder: Path, out: Path, kept: Collection[str]) -> None:
+    """Writes the polygons of the kept tiles, if there are any, to another or the same folder."""
+    path = Path(folder) / GROUND_INDEX
+    if path.is_file():
+        index: _Features = read_document(path, _Features, _REMEDY)
+        _write(out, [one for one in index.features if one.properties.id in kept])
+
+
+def _write(folder: Path, features: Sequence[_Feature]) -> None:
+    index = _Features("FeatureCollection", list(features))
+    write_json(Path(folder) / GROUND_INDEX, msgspec.to_builtins(index))
