@@ -6,10 +6,11 @@ import html
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import torch
-import torch.nn.functional as F
 from jaxtyping import Bool
 from PIL import Image, ImageDraw
+from scipy import ndimage
 from torch import Tensor
 
 from skyproof.datasets.pictures import Boxes, Pixels
@@ -67,9 +68,10 @@ class ContactSheet:
 
 def _draw_row(row: SheetRow) -> Image.Image:
     scale = min(1.0, LARGEST_SIDE_PX / max(row.mask.shape))
-    before = torch.where(
-        _outline(row.mask), torch.tensor(MASKED, dtype=torch.uint8)[:, None, None], row.before
-    )
+    inner = ndimage.binary_erosion(row.mask.numpy(), np.ones((3, 3)))
+    outline = row.mask & ~torch.from_numpy(inner)
+    yellow = torch.tensor(MASKED, dtype=torch.uint8)[:, None, None]
+    before = torch.where(outline, yellow, row.before)
     height, width = (round(side * scale) for side in row.mask.shape)
     pictures = []
     for pixels in (before, row.after):
@@ -82,9 +84,3 @@ def _draw_row(row: SheetRow) -> Image.Image:
     both.paste(pictures[0], (0, 0))
     both.paste(pictures[1], (width + GAP_PX, 0))
     return both
-
-
-def _outline(mask: Bool[Tensor, "H W"]) -> Bool[Tensor, "H W"]:
-    """Returns the mask's own outermost pixels; along the tile's edge too."""
-    padded = F.pad(~mask[None, None], (1, 1, 1, 1), value=True).float()
-    return mask & (F.max_pool2d(padded, 3, stride=1)[0, 0] > 0)

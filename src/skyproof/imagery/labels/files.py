@@ -87,11 +87,10 @@ def _read_folder(folder: Path) -> Labels:
     if not texts:
         raise ImageryError(f"{folder} holds no labels; expected {_FORMS}.")
     # Files may be empty (an image without vehicles): the first line in any of them decides.
-    first = next(((text, words) for text in texts for _, words in text_lines(text)[:1]), None)
-    if first is None or not is_dota_line(first[1]):
-        line = "all its .txt files are empty"
-        if first is not None:
-            line = f"{first[0]} begins {' '.join(first[1][:6])!r}"
+    lines = ((text, words) for text in texts for _, words in text_lines(text))
+    text, words = next(lines, (folder, []))
+    if not words or not is_dota_line(words):
+        line = f"{text} begins {' '.join(words[:6])!r}" if words else "all its .txt files are empty"
         raise ImageryError(
             f"{folder} is neither DOTA text ({line}) nor YOLO text (0 .names files and no "
             "data.yaml); add the class names for YOLO, or give other labels."
