@@ -111,7 +111,6 @@ def test_no_labels():
         (upright("car", 10, 45, 20, 50.3), "outside"),
         (label_of("car", (99, 10), (104, 12), (103, 16), (98, 14)), "outside"),
         (label_of("car", (101, 10)), "outside"),
-        (upright("car", 10, 10, 10, 14), "without size"),
     ],
 )
 def test_labels_outside_their_image_are_refused(label, message):
