@@ -1,1 +1,4 @@
-"""Reads real imagery and its labels, cuts it into tiles, and removes its vehicles."""
+"""Real imagery: orthophotos become tiles, labels of all forms become boxes, and back.
+
+Vehicles are removed from tiles, so that they can serve as ground; whole annotated images are read.
+"""

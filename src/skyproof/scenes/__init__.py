@@ -1,1 +1,4 @@
-"""Scenes as plain data: ground, light, and the choice of vehicles and their places."""
+"""Scenes as plain data: place, time, and the number and choice of vehicles.
+
+The room also holds background sets with their splits and sensors; `ground` and `imagery` make them.
+"""

@@ -1,1 +1,4 @@
-"""Removes vehicles from tiles: they are found, masked, filled with ground and checked."""
+"""Vehicles are removed from tiles here: they are found, masked, filled with ground and checked.
+
+A person is shown what was done.
+"""

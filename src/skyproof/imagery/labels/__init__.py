@@ -1,1 +1,4 @@
-"""Reads labels of vehicles in other tools' formats, in pixels of images or on the ground."""
+"""Reads labels of vehicles in the formats of other tools.
+
+Every form becomes labels in pixels of images, or labels on the ground.
+"""

@@ -1,1 +1,4 @@
-"""Cuts orthophotos and their labels into tiles of true metres, in splits by place."""
+"""Orthophotos are cut here into tiles of true metres, in splits by place.
+
+Labels are taken along, from the sources to the tiles.
+"""
