@@ -84,12 +84,9 @@ class LearnVehicles:
                 Imagery(BackgroundSet.open(tiles), BackgroundSet.open(cleared))
                 for tiles, cleared in self.imagery
             ]
+            place = choose_device(self.device)
             record = learn_vehicles(
-                imagery,
-                self.settings,
-                self.out,
-                device=choose_device(self.device),
-                progress=progress,
+                imagery, self.settings, self.out, device=place, progress=progress
             )
         self._say_record(record)
 

@@ -60,11 +60,8 @@ class Layers:
         self, paint: Float[Tensor, "*N 3"], glass: Float[Tensor, "*N 3"]
     ) -> Float[Tensor, "*N 3 S S"]:
         """Gives the texture in these colours, sRGB."""
-        return (
-            self.rest
-            + self.paint_share * paint[..., None, None]
-            + self.glass_share * glass[..., None, None]
-        )
+        painted = self.rest + self.paint_share * paint[..., None, None]
+        return painted + self.glass_share * glass[..., None, None]
 
     def at_side(self, side_px: int) -> Layers:
         """Gives the same layers on a coarser map: means of texels."""

@@ -47,10 +47,7 @@ class _Candidates(nn.Module):
     """Rows of bodies that are moved, stretched and coloured; each stands in a scene of its own."""
 
     def __init__(
-        self,
-        prototypes: _Bodies,
-        chosen: Int[Tensor, " N"],
-        paint: Float[Tensor, "N 3"],
+        self, prototypes: _Bodies, chosen: Int[Tensor, " N"], paint: Float[Tensor, "N 3"]
     ) -> None:
         super().__init__()
         count = len(chosen)
@@ -95,10 +92,8 @@ class _Candidates(nn.Module):
             + (glass / _GLASS_SD).square().sum(1)
             + (self.detail / _DETAIL_SD).square().mean((1, 2, 3))
         )
-        steps = self.detail.diff(dim=2).abs().mean((1, 2, 3)) + self.detail.diff(dim=3).abs().mean(
-            (1, 2, 3)
-        )
-        return _PRIOR_WEIGHT * terms + _SMOOTHNESS_WEIGHT * steps
+        along, around = (self.detail.diff(dim=dim).abs().mean((1, 2, 3)) for dim in (2, 3))
+        return _PRIOR_WEIGHT * terms + _SMOOTHNESS_WEIGHT * (along + around)
 
     @torch.no_grad()
     def project_(self) -> None:

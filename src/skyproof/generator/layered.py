@@ -41,10 +41,6 @@ class LayeredGenerator:
     anywhere, and are drawn towards the type's mean so that their spread stays (a smoothed
     bootstrap; Silverman and Young 1987). Colours and map go part of the way to one of the three
     fitted vehicles whose paint is nearest (as SMOTE does; Chawla et al. 2002).
-
-    Attributes:
-        body_types: of the fitted vehicles.
-        latents: of the fitted vehicles, a row each.
     """
 
     method = "layered"

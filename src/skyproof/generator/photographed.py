@@ -174,12 +174,12 @@ def _photographed(
 
 
 def _nothing(cleared: BackgroundSet, left_out: dict[str, int]) -> str:
-    reasons = ", ".join(f"{count} because {why}" for why, count in left_out.items())
-    if not reasons:
+    if not left_out:
         return (
             f"{cleared.folder} says of no vehicle where it stood; label the vehicles of the "
             "imagery, and clear it again."
         )
+    reasons = ", ".join(f"{count} because {why}" for why, count in left_out.items())
     return (
         f"No vehicle of {cleared.folder} can be fitted ({reasons}); give finer imagery, or such "
         "whose labels and shadows tell headings and sun."

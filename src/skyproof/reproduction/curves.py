@@ -60,11 +60,9 @@ class Point:
 
 @dataclass(frozen=True)
 class PracticalityCurve:
-    """EASR against practicality of one family, such as "S-O" or "C-Fc-seq".
+    """EASR against practicality of one family, such as "S-O" or "C-Fc-seq", by rising magnitude.
 
-    Attributes:
-        points: by rising magnitude.
-        best: the point at PM*, the magnitude of the largest P1; the smallest of equals.
+    The best point is at PM*, the magnitude of the largest P1; the smallest of equals.
     """
 
     points: Sequence[Point]

@@ -5,6 +5,7 @@ RetinaNet alone; random and plainly painted vehicles beside the learnt camouflag
 are measured on all features, since a picture of two dimensions can show whatever one likes.
 """
 
+import itertools
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -54,51 +55,28 @@ def features_part(run: Reproduction) -> Topic:
     """
     numbers: list[dict[str, Any]] = []
     points: list[dict[str, Any]] = []
-    every = run.features
-    for name in _learnt(every):
-        for detector in run.detectors:
-            stored = _classes(every, name, detector)
-            if not stored:
-                continue
-            place = {"camouflage": str(name), "detector": detector}
-            found, plane = embed(stored)
-            numbers += [place | row for row in found]
-            points += [place | row for row in plane]
+    every = {
+        (each.detector, _pooled(each.shown)): each
+        for each in run.features
+        if len(each.vectors) >= _FEWEST
+    }
+    names = dict.fromkeys(shown for _, shown in every if shown not in (GROUND, ORIGINAL))
+    learnt = [name for name in map(CamouflageName.read, names) if not name.random]
+    for name, detector in itertools.product(learnt, run.detectors):
+        needed = [GROUND, ORIGINAL, str(name)]
+        wanted = [*needed, str(name.control), str(name.chosen_controls[0])]
+        stored = {kind: every[detector, kind] for kind in wanted if (detector, kind) in every}
+        tiles = {tile for each in stored.values() for tile in each.backgrounds}
+        if len(tiles) < 2 or any(kind not in stored for kind in needed):
+            continue
+        place = {"camouflage": str(name), "detector": detector}
+        found, plane = embed(stored)
+        numbers += [place | row for row in found]
+        points += [place | row for row in plane]
     if not numbers:
         return Topic()
     tables = {"embeddings": numbers, "embedding_points": points}
     return Topic.of("What the detectors’ features show", tables, *_blocks(run, numbers, points))
-
-
-def _learnt(every: Sequence[Features]) -> list[CamouflageName]:
-    names = (
-        CamouflageName.read(each.shown).pooled
-        for each in every
-        if each.shown not in (GROUND, ORIGINAL)
-    )
-    return list(dict.fromkeys(name for name in names if not name.random))
-
-
-def _classes(
-    every: Sequence[Features], name: CamouflageName, detector: str
-) -> Mapping[str, Features]:
-    """Gives what is stored of ground, vehicles, a camouflage, its control and the plain paint.
-
-    Nothing where ground, vehicles or the camouflage are missing or too few.
-    """
-    plain = name.chosen_controls[0]
-    wanted = [GROUND, ORIGINAL, str(name), str(name.control), str(plain)]
-    found = {
-        shown: each
-        for each in every
-        if each.detector == detector and len(each.vectors) >= _FEWEST
-        for shown in [_pooled(each.shown)]
-        if shown in wanted
-    }
-    tiles = {tile for each in found.values() for tile in each.backgrounds}
-    if len(tiles) < 2 or any(shown not in found for shown in wanted[:3]):
-        return {}
-    return {shown: found[shown] for shown in wanted if shown in found}
 
 
 def _pooled(shown: str) -> str:
