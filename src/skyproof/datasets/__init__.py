@@ -1,4 +1,1 @@
-"""Labelled images: a folder of PNGs with COCO annotations, and any such set, read lazily.
-
-This room serves training, evaluation and export. `render`, `cycles` and `imagery` make the images.
-"""
+"""Labelled images: PNGs with COCO annotations, read lazily. Training and evaluation use them."""

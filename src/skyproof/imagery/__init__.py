@@ -1,4 +1,1 @@
-"""Real imagery: orthophotos become tiles, labels of all forms become boxes, and back.
-
-Vehicles are removed from tiles, so that they can serve as ground; whole annotated images are read.
-"""
+"""Real imagery is read, cut into tiles and cleared of vehicles. Labels of all forms are read."""

@@ -1,4 +1,1 @@
-"""Scenes as plain data: place, time, and the number and choice of vehicles.
-
-The room also holds background sets with their splits and sensors; `ground` and `imagery` make them.
-"""
+"""Scenes as plain data. Background sets with their splits and sensors are here, too."""

@@ -1,4 +1,1 @@
-"""Vehicles are removed from tiles here: they are found, masked, filled with ground and checked.
-
-A person is shown what was done.
-"""
+"""Vehicles on tiles are found, masked, filled with ground and checked. A person sees the result."""

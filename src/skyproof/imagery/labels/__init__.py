@@ -1,4 +1,1 @@
-"""Reads labels of vehicles in the formats of other tools.
-
-Every form becomes labels in pixels of images, or labels on the ground.
-"""
+"""Labels of other tools are read. They lie in pixels of images, or on the ground."""

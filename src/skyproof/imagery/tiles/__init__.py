@@ -1,4 +1,1 @@
-"""Orthophotos are cut here into tiles of true metres, in splits by place.
-
-Labels are taken along, from the sources to the tiles.
-"""
+"""Orthophotos are cut into tiles of true metres, in splits by place. Labels are taken along."""
