@@ -1,5 +1,7 @@
 """The steps of an assessment, and the frozen suites that it consists of."""
 
+import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,11 +10,13 @@ import torch
 
 from skyproof.assessment.assess import assess_steps
 from skyproof.assessment.command import Request
+from skyproof.assessment.judging import still_open
 from skyproof.assessment.subject import Subject
 from skyproof.assessment.suite import DEMO_SUITE, read_suite
 from skyproof.assessment.suite import SUITE as SUITE_FILE
 from skyproof.detectors.answers import BlackBoxDetector
-from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS
+from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS, reference_folder
+from skyproof.errors import ConfigurationError
 from skyproof.files import file_digest
 
 RUN = Path("run")
@@ -73,6 +77,32 @@ def test_imagery_labels_and_a_detector_folder(folder):
     # The threshold is frozen on other tiles than those on which the detector is checked.
     checked = next(step for step in assess_steps(subject(folder)) if step.kind == "check")
     assert "your imagery=run/tiles/test@0.1" in checked.settings[-1]
+
+
+def test_a_run_stops_where_no_verdict_is_possible_any_more(tmp_path):
+    """Unless the user insists, or has all results already."""
+    place = tmp_path / "run/detectors/mine"
+    shutil.copytree(reference_folder("retinanet"), place)
+    record = json.loads((place / "precheck.json").read_text())
+
+    def stop(easr, **changes):
+        record["rates"][0] |= {"easr": easr, "easr_low": easr - 0.02, "easr_high": easr + 0.02}
+        (place / "precheck.json").write_text(json.dumps(record))
+        its = subject(place, **ASKED, **changes)
+        its = replace(its, request=replace(its.request, out=tmp_path / "run"))
+        still_open(its).work()
+        return json.loads((tmp_path / "run/open.json").read_text())
+
+    assert stop(0.02) == {"failed": []}
+    with pytest.raises(ConfigurationError, match=r"No verdict is possible .* give --go-on"):
+        stop(0.6)
+    (failed,) = stop(0.6, go_on=True)["failed"]
+    assert failed.startswith("mine: ")
+    (tmp_path / "run/results.json").touch()
+    assert stop(0.6) == {"failed": [failed]}
+    names = ids(subject(place, **ASKED))
+    assert names.index("size/open") == names.index("check/detectors") + 1
+    assert "size/open" not in ids(subject(place))
 
 
 def test_a_checkpoint_is_imported_on_the_labelled_tiles(file):

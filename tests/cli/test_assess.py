@@ -122,7 +122,7 @@ def test_a_finished_run_is_asked_for_a_verdict(assessed, tmp_path, skyproof: Sky
         assert "no verdict is possible on fewer than" in answer.out or reject == 0.95
     renewed = {"config.json", "environment.json", "timings.json", "report.html", "results.json"}
     renewed.add("steps.json")
-    added = {"verdict.json", "enough.json"}
+    added = {"verdict.json", "enough.json", "open.json"}
     after = bytes_of(folder)
     assert {name for name in after if before.get(name) != after[name]} <= renewed | added
     assert added <= after.keys()

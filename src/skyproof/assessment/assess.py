@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from skyproof.assessment.answers import say_answers, say_expected, say_verdict
 from skyproof.assessment.attacking import attacks, controls, scored
 from skyproof.assessment.command import Request
-from skyproof.assessment.judging import enough_ground, precheck, report, score
+from skyproof.assessment.judging import enough_ground, precheck, report, score, still_open
 from skyproof.assessment.look import look_at
 from skyproof.assessment.planning import plan_words
 from skyproof.assessment.preparing import fleets, prepare, rendered, scenes
@@ -40,6 +40,8 @@ def assess_steps(its: Subject) -> Iterator[Step]:
     yield rendered(its, layout, "test")
     if its.suite.check_scenes:
         yield precheck(its)
+        if requirement is not None:
+            yield still_open(its)
     made = [*attacks(its)]
     yield from made
     drawn = [*controls(its)]
@@ -151,7 +153,8 @@ def assess(
         consumer_risk: largest chance that a detector at `reject` is accepted.
         cycles: render the test scenes with Blender Cycles, too.
         blender: a Blender 4.5 executable, or a Python that has bpy 4.5.
-        go_on: whether to go on though labelled vehicles have an impossible length.
+        go_on: whether to go on though labelled vehicles have an impossible length, or though no
+            detector passed its precheck and a verdict was asked for.
         seed: seed of everything that is drawn.
         device: "auto", "cpu" or "cuda".
 

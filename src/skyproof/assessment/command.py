@@ -51,7 +51,8 @@ class Request:
         cycles: render the test scenes with Blender Cycles, too, also after a finished run.
         blender: Blender 4.5, or a Python with bpy 4.5 (default: of `make blender`, then of the
             PATH).
-        go_on: go on though labelled vehicles have an impossible length.
+        go_on: go on though labelled vehicles have an impossible length, or though no detector
+            passed its precheck and a verdict was asked for.
         seed: seed of everything that is drawn.
         device: auto, cpu or cuda.
     """

@@ -13,13 +13,14 @@ from skyproof.cli.precheck import Precheck
 from skyproof.cli.score import Score
 from skyproof.console import say
 from skyproof.cycles.settings import Rendering
-from skyproof.errors import ImageryError
+from skyproof.errors import ConfigurationError, ImageryError
 from skyproof.files import write_json
 from skyproof.report.report import write_report
+from skyproof.results.precheck import findings, read_precheck, worst
 from skyproof.results.statistics.acceptance import Requirement, fewest_tiles
 from skyproof.results.statistics.planning import tiles_to_show
 from skyproof.scenes.scene import read_scenes
-from skyproof.words import percent
+from skyproof.words import detector_name, percent
 
 # Estimated seconds on one core per million pixels and detector.
 _DETECT_S = 3.0
@@ -78,6 +79,30 @@ def precheck(its: Subject) -> Step:
         (its.names, scenes, suite.check_draws, its.seed, frames),
         effort_s=START_S + _looked_at_s(its, "torch") * images / suite.test_images,
     )
+
+
+def still_open(its: Subject) -> Step:
+    """Stops a run that could only end without a verdict, because every detector failed."""
+    layout, out = its.layout, its.layout.folder / "open.json"
+    checks = tuple(map(layout.precheck, its.names))
+
+    def work() -> None:
+        checked = {
+            name: worst(findings(read_precheck(layout.detector(name)))) for name in its.names
+        }
+        failed = [
+            f"{detector_name(name)}: {found.words}"
+            for name, found in checked.items()
+            if found.outcome == "failed"
+        ]
+        if len(failed) == len(checked) and not its.request.go_on and not layout.results.exists():
+            raise ConfigurationError(
+                f"No verdict is possible after a failed precheck ({', '.join(failed)}); mend the "
+                "detector, or give --go-on to measure the attacks without a verdict."
+            )
+        write_json(out, {"failed": failed})
+
+    return Step("size", "open", (out,), work, its.request.go_on, inputs=checks, renewed=True)
 
 
 def score(
