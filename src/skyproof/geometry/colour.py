@@ -61,7 +61,6 @@ def cielab_to_srgb(cielab: Float[Tensor, "*S 3"]) -> Float[Tensor, "*S 3"]:
     lightness, a, b = cielab.unbind(-1)
     y = (lightness + 16) / 116
     roots = torch.stack((y + a / 500, y, y - b / 200), dim=-1)
-    xyz = torch.where(roots > _KNEE, roots**3, 3 * _KNEE**2 * (roots - 4 / 29)) * cielab.new_tensor(
-        _WHITE
-    )
+    shares = torch.where(roots > _KNEE, roots**3, 3 * _KNEE**2 * (roots - 4 / 29))
+    xyz = shares * cielab.new_tensor(_WHITE)
     return linear_to_srgb(xyz @ torch.linalg.inv(cielab.new_tensor(_TO_XYZ)).T)

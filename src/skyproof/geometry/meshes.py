@@ -111,12 +111,10 @@ def _edge_through(
     for start, end in ((0, 1), (1, 2), (2, 0)):
         p, q = a[:, start], a[:, end]
         # One end on each side of b's plane, and the line on the same side of all three edges of b.
-        apart = (torch.minimum(above[:, start], above[:, end]) < -touching) & (
-            torch.maximum(above[:, start], above[:, end]) > touching
-        )
-        around = torch.stack(
-            (_volume(p, q, b0, b1), _volume(p, q, b1, b2), _volume(p, q, b2, b0)), dim=1
-        )
+        ends = above[:, [start, end]]
+        apart = (ends.amin(1) < -touching) & (ends.amax(1) > touching)
+        sides = ((b0, b1), (b1, b2), (b2, b0))
+        around = torch.stack([_volume(p, q, *side) for side in sides], dim=1)
         through |= apart & ((around > touching).all(1) | (around < -touching).all(1))
     return through
 

@@ -95,9 +95,8 @@ def rasterise(
     corner_depth = at_corners(depth[..., None], faces)[:, 0]
     areas = face_areas(corners)
     shown = torch.nonzero(areas.abs() > 1e-12 if two_sided else areas > 1e-12)[:, 0]
-    keys = torch.full(
-        (len(screen) * size * size,), _NOTHING, dtype=torch.int64, device=screen.device
-    )
+    samples = len(screen) * size * size
+    keys = torch.full((samples,), _NOTHING, dtype=torch.int64, device=screen.device)
     for part in shown.split(_TRIANGLES):
         vehicle = part // len(faces)
         _draw(

@@ -124,9 +124,8 @@ class Fleet:
     def sizes_m(self) -> dict[str, tuple[float, float, float]]:
         """By id the length, width (without mirrors) and height in metres."""
         extents = (self.vertices.amax(1) - self.vertices.amin(1)).tolist()
-        return {
-            name: (size[0], size[1], size[2]) for name, size in zip(self.ids, extents, strict=True)
-        }
+        sizes_m = [(length, width, height) for length, width, height in extents]
+        return dict(zip(self.ids, sizes_m, strict=True))
 
     def save(self, folder: Path) -> None:
         """Writes `fleet.json` and `fleet.safetensors` into a new folder, whole or not at all."""
@@ -258,11 +257,7 @@ def exact_share(share: float, count: int, generator: torch.Generator) -> list[in
 
 
 def mix_fleets(fleets: Sequence[Fleet]) -> Fleet:
-    """Returns all vehicles of several fleets as one, in the order given.
-
-    Raises:
-        ConfigurationError: no fleet, or an id in two of them.
-    """
+    """Returns all vehicles of several fleets, whose ids must differ, as one, in the order given."""
     if not fleets:
         raise ConfigurationError("Mixing needs at least one fleet; give fleet folders.")
     ids = tuple(name for fleet in fleets for name in fleet.ids)

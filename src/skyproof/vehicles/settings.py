@@ -85,11 +85,7 @@ class WrapSettings:
         check_ranges(self)
 
     def of_meshes(self, meshes: list[Path]) -> list[tuple[Path, str, float | None]]:
-        """Returns each mesh with its name and its metres per unit (None: as the file says).
-
-        Raises:
-            ConfigurationError: there are not as many names or scales as meshes.
-        """
+        """Returns each mesh with its name and its metres per unit (None: not given)."""
         for flag, given, single in (("scale", self.scale, True), ("names", self.names, False)):
             if given and len(given) != len(meshes) and not (single and len(given) == 1):
                 raise ConfigurationError(
