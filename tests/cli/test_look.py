@@ -75,3 +75,12 @@ def test_a_class_that_the_checkpoint_lacks_is_seen_at_once(
     words = [*call[2:], *architecture, "--vehicle-classes", 3]
     skyproof("assess", tmp_path / "best.pt", *words).refused("label numbers from 1 to 2", "got 3")
     assert not (tmp_path / "run").exists()
+
+
+def test_errors_name_the_options_of_assess(call, photographs, tmp_path, skyproof: Skyproof):
+    skyproof(*call).refused("give its metres per pixel (--gsd)")
+    without = [word for word in call if word not in ("--label-classes", "car")]
+    skyproof(*without, "--gsd", 0.125).refused(
+        "names the classes car, bus; say with --label-classes"
+    )
+    assert not (tmp_path / "run").exists()

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from skyproof.assessment.answers import say_answers, say_expected, say_verdict
 from skyproof.assessment.attacking import attacks, controls, scored
-from skyproof.assessment.command import Request
+from skyproof.assessment.command import Request, own_options
 from skyproof.assessment.judging import enough_ground, precheck, report, score, still_open
 from skyproof.assessment.look import look_at
 from skyproof.assessment.planning import plan_words
@@ -62,6 +62,7 @@ def assess_steps(its: Subject) -> Iterator[Step]:
     yield report(its, scores, requirement)
 
 
+@own_options()
 def run_assessment(
     request: Request, suite_file: Path = SUITE, black_box: BlackBoxDetector | None = None
 ) -> Path:
@@ -97,6 +98,7 @@ def run_assessment(
     return its.layout.report
 
 
+@own_options()
 def plan_assessment(request: Request, suite_file: Path = SUITE) -> None:
     """Prints what the imagery holds, the size of the test and the time; writes nothing."""
     its = subject_of(request, read_suite(suite_file), None)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,7 +17,7 @@ from skyproof.detectors.reference_detectors import (
     detector_folder,
     reference_folder,
 )
-from skyproof.errors import ConfigurationError
+from skyproof.errors import ConfigurationError, SkyproofError
 from skyproof.ranges import Fraction, GroundResolution, Risk, Seed
 
 if TYPE_CHECKING:
@@ -24,6 +26,31 @@ if TYPE_CHECKING:
 _Class = Annotated[str, Meta(max_length=200)]
 _UNDECIDED = ("out", "device", "cycles", "blender", "go_on")
 """Where a run is computed, or what is added to it, changes none of its results."""
+
+_OPTIONS = {
+    "give it with --source.crs, or the metres": "write it into the image, or give the metres",
+    " (or --source.crs)": "",
+    ", or larger tiles (--tiling.size-px)": "",
+    ", or make the tiles smaller (--tiling.size-px of skyproof ground)": "",
+    "--source.gsd-m": "--gsd",
+    "--labels.classes": "--label-classes",
+    "--labels.path": "--labels",
+}
+"""Advice of the commands that are steps of an assessment, and what it is for `assess`."""
+
+
+@contextmanager
+def own_options() -> Iterator[None]:
+    """Has errors of the steps name the options of `assess`."""
+    try:
+        yield
+    except SkyproofError as error:
+        message = str(error)
+        for theirs, ours in _OPTIONS.items():
+            message = message.replace(theirs, ours)
+        if message == str(error):
+            raise
+        raise type(error)(message) from error
 
 
 @dataclass(frozen=True)

@@ -105,7 +105,7 @@ def read_georeference(
     elif plain:
         raise ImageryError(
             f"{path} does not say how large its pixels are on the ground; give its metres per "
-            "pixel (--source.gsd-m; --gsd of `demo`)."
+            "pixel (--source.gsd-m)."
         )
     else:
         gsd_m = math.hypot(affine.a, affine.d), math.hypot(affine.b, affine.e)

@@ -253,7 +253,6 @@ def vehicle_classes(labels: Labels, settings: LabelSettings) -> tuple[str, ...]:
     if len(labels.classes) > 1:
         raise ImageryError(
             f"{settings.path} names the classes {', '.join(labels.classes)}; say with "
-            "--labels.classes (--label-classes of skyproof assess) which of them count as vehicles "
-            "(small vehicles in the paper)."
+            "--labels.classes which of them count as vehicles (small vehicles in the paper)."
         )
     return labels.classes
