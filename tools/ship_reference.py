@@ -20,11 +20,10 @@ import tyro
 
 from skyproof.cli.precheck import Precheck
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.card import DetectorCard, write_card
+from skyproof.detectors.card import REFERENCE_DETECTORS, REFERENCE_FOLDER, DetectorCard, write_card
 from skyproof.detectors.inference import detect_all
 from skyproof.detectors.loaded import load_detector
 from skyproof.detectors.matching import MatchTable, match_images
-from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS, REFERENCE_FOLDER
 from skyproof.detectors.validation import validate
 from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError

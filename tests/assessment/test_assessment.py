@@ -15,7 +15,7 @@ from skyproof.assessment.subject import Subject
 from skyproof.assessment.suite import DEMO_SUITE, read_suite
 from skyproof.assessment.suite import SUITE as SUITE_FILE
 from skyproof.detectors.answers import BlackBoxDetector
-from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS, reference_folder
+from skyproof.detectors.card import REFERENCE_DETECTORS, reference_folder
 from skyproof.errors import ConfigurationError
 from skyproof.files import file_digest
 

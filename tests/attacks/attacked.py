@@ -14,11 +14,11 @@ from skyproof.attacks.world import World
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.make import make_camouflage
 from skyproof.datasets.dataset import Dataset
+from skyproof.detectors.card import REFERENCE_DETECTORS
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.inference import detect_all
 from skyproof.detectors.loaded import load_detector
 from skyproof.detectors.matching import match_images
-from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS
 from skyproof.scenes.scene import Scene
 from skyproof.scenes.settings import SceneSettings
 from tests.rendered_world import SIDE_PX, RenderedWorld, make_world

@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from skyproof.camouflage.camouflage import Camouflage
+from skyproof.detectors.card import REFERENCE_DETECTORS
 from skyproof.detectors.detector import TrainableDetector
-from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS
 from tests.attacks.attacked import Attacked, drawn
 
 LEAST_RECALL = 0.8

@@ -10,7 +10,7 @@ from skyproof.assessment import assess, environment
 from skyproof.assessment.answers import say_answers, say_expected
 from skyproof.assessment.suite import Expected, read_suite
 from skyproof.attacks.settings import QuerySettings
-from skyproof.detectors.reference_detectors import reference_folder
+from skyproof.detectors.card import reference_folder
 from skyproof.files import write_json
 from skyproof.layout import Layout
 from skyproof.main import run

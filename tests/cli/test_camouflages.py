@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from skyproof.camouflage.make import make_candidates
-from skyproof.results.pairs.outcomes import read_outcomes
+from skyproof.results.outcomes import read_outcomes
 from skyproof.results.results import Results
 from tests.cli.conftest import Skyproof, bytes_of
 

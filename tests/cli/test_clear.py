@@ -5,7 +5,7 @@ import shutil
 
 import pytest
 
-from skyproof.detectors.reference_detectors import reference_folder
+from skyproof.detectors.card import reference_folder
 from skyproof.imagery.words import light_words, warnings
 from skyproof.scenes.backgrounds import BackgroundSet
 from tests.cli.conftest import Skyproof

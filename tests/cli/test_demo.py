@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from skyproof.cycles.settings import Rendering
-from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS, REFERENCE_FOLDER
+from skyproof.detectors.card import REFERENCE_DETECTORS, REFERENCE_FOLDER
 from skyproof.errors import ConfigurationError
 from skyproof.files import alone
 from skyproof.main import run

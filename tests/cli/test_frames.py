@@ -8,7 +8,7 @@ from PIL import Image
 
 from skyproof.datasets.coco import Annotation, CocoWriter
 from skyproof.errors import ConfigurationError, ImageryError
-from skyproof.measure.frames import read_frames
+from skyproof.measure.baseline import read_frames
 from skyproof.scenes.background_index import BackgroundTile, save_tile, write_index
 
 CLASSES = ["car"]

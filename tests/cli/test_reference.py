@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from skyproof.detectors import reference_detectors
-from skyproof.detectors.loaded import load_detector
-from skyproof.detectors.reference_detectors import (
+from skyproof.detectors import card
+from skyproof.detectors.card import (
     REFERENCE_DETECTORS,
     REFERENCE_FOLDER,
     detector_folder,
 )
+from skyproof.detectors.loaded import load_detector
 from tests.cli.conftest import Skyproof, bytes_of
 
 FILES = {"precheck.json", "detector.json", "weights.safetensors"}
@@ -24,7 +24,7 @@ FILES = {"precheck.json", "detector.json", "weights.safetensors"}
 def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A copy of what comes with skyproof, in its place."""
     folder = Path(shutil.copytree(REFERENCE_FOLDER, tmp_path / "came"))
-    monkeypatch.setattr(reference_detectors, "REFERENCE_FOLDER", folder)
+    monkeypatch.setattr(card, "REFERENCE_FOLDER", folder)
     return folder
 
 

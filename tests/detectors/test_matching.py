@@ -9,7 +9,7 @@ import torch
 
 from skyproof.detectors.matching import Criterion, match_detections
 from skyproof.errors import ConfigurationError
-from skyproof.results.pairs.outcomes import MATCHES
+from skyproof.results.outcomes import MATCHES
 
 
 def at(*centres: tuple[float, float], half: float = 5.0) -> torch.Tensor:

@@ -10,15 +10,15 @@ from safetensors.torch import load_file
 
 import skyproof as sp
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.detector import Detections
-from skyproof.detectors.inference import detect_all
-from skyproof.detectors.loaded import load_detector
-from skyproof.detectors.matching import match_images
-from skyproof.detectors.reference_detectors import (
+from skyproof.detectors.card import (
     REFERENCE_DETECTORS,
     REFERENCE_FOLDER,
     reference_folder,
 )
+from skyproof.detectors.detector import Detections
+from skyproof.detectors.inference import detect_all
+from skyproof.detectors.loaded import load_detector
+from skyproof.detectors.matching import match_images
 from skyproof.detectors.validation import validate
 from skyproof.errors import ConfigurationError
 from skyproof.ground.procedural import write_procedural_backgrounds

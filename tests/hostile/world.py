@@ -18,7 +18,6 @@ from skyproof.generator.folder import save_generator
 from skyproof.generator.layered import LayeredGenerator
 from skyproof.main import run
 from skyproof.reproduction.preset import PRESETS
-from skyproof.results.baseline import Baseline
 from skyproof.results.precheck import (
     PRECHECK_FILE,
     MeasuredOn,
@@ -26,6 +25,7 @@ from skyproof.results.precheck import (
     Rate,
     write_precheck,
 )
+from skyproof.results.score_folder import Baseline
 from skyproof.results.statistics.intervals import Interval
 from tests.generator.made_fits import made_fits
 from tests.imagery.made import smooth_noise

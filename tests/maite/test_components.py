@@ -31,7 +31,7 @@ from skyproof.maite import (
 )
 from skyproof.render.dataset import render_dataset
 from skyproof.render.settings import RenderSettings
-from skyproof.results.statistics.rates import overall_attack_success_rate
+from skyproof.results.statistics.intervals import overall_attack_success_rate
 from skyproof.scenes.light import Light
 from skyproof.vehicles.fleet import Fleet
 from tests.maite.conftest import Folders

@@ -21,8 +21,7 @@ from skyproof.measure.measure import measure
 from skyproof.measure.score import score
 from skyproof.measure.views import SceneChange, SceneRenderer
 from skyproof.render.frames import Frames
-from skyproof.results.pairs.counts import Series
-from skyproof.results.pairs.outcomes import MATCHES, read_outcomes
+from skyproof.results.outcomes import MATCHES, Series, read_outcomes
 from skyproof.results.results import Results
 from skyproof.results.score_folder import ScoreFolder, merge_scores
 from skyproof.scenes.scene import Placement

@@ -13,8 +13,8 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from skyproof.files import write_json, write_jsonl
-from skyproof.results.pairs.outcomes import MATCHES, Outcome, read_outcomes, write_outcomes
-from skyproof.results.pictures import choose_scenes
+from skyproof.measure.score import choose_scenes
+from skyproof.results.outcomes import MATCHES, Outcome, read_outcomes, write_outcomes
 from skyproof.results.rows_file import write_rows
 from skyproof.results.score_folder import Pair, ScoreRecord, SetScore, write_record
 

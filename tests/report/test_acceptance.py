@@ -13,7 +13,7 @@ from skyproof.layout import Layout
 from skyproof.report.acceptance import Ruling, _attacks, _doubted
 from skyproof.report.queries import QueryPart
 from skyproof.report.report import write_report
-from skyproof.results.pairs.counts import OutcomeCounts, read_counts
+from skyproof.results.outcomes import OutcomeCounts, read_counts
 from skyproof.results.results import Results
 from skyproof.results.statistics.acceptance import Requirement
 from skyproof.results.statistics.intervals import Interval

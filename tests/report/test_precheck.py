@@ -10,8 +10,8 @@ from skyproof.camouflage.paint import LATTICE
 from skyproof.errors import StoredFileError
 from skyproof.files import write_json
 from skyproof.report.report import write_report
-from skyproof.results.baseline import Baseline, BestF1
 from skyproof.results.precheck import MeasuredOn, PrecheckRecord, Rate, write_precheck
+from skyproof.results.score_folder import Baseline, BestF1
 from skyproof.results.statistics.intervals import Interval
 from skyproof.scenes.scene import (
     BackgroundWindow,

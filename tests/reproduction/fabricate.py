@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from skyproof.files import write_json
-from skyproof.results.pairs.counts import OutcomeCounts, Series
+from skyproof.results.outcomes import OutcomeCounts, Series
 from skyproof.results.rows_file import write_rows
 from skyproof.results.score_folder import ScoreRecord, SetScore, write_record
 from tests.results.counted import write_counts

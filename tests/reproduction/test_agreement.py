@@ -13,7 +13,7 @@ from skyproof.reproduction.agreement import (
     with_paper,
 )
 from skyproof.reproduction.paper_results import PAPER_RESULTS
-from skyproof.results.pairs.counts import OutcomeCounts, Series
+from skyproof.results.outcomes import OutcomeCounts, Series
 from skyproof.results.results import Results
 from skyproof.results.stored import RunConfig
 from tests.results.counted import on_tiles

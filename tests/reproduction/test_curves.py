@@ -7,7 +7,7 @@ import pytest
 
 from skyproof.errors import ConfigurationError
 from skyproof.reproduction.curves import p1_score, practicality_curves
-from skyproof.results.pairs.counts import Series
+from skyproof.results.outcomes import Series
 from tests.results.counted import on_tiles
 
 

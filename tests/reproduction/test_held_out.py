@@ -8,9 +8,9 @@ from skyproof.files import write_json
 from skyproof.reproduction.held_out import detectors_and_mean, held_out_part, held_out_rows
 from skyproof.reproduction.report import write_reproduction_report
 from skyproof.reproduction.reproduction import Reproduction
-from skyproof.results.baseline import Baseline
 from skyproof.results.results import Results
 from skyproof.results.rows_file import write_rows
+from skyproof.results.score_folder import Baseline
 from skyproof.results.statistics.intervals import Interval
 from tests.reproduction.fabricate import DETECTORS, write_scores
 

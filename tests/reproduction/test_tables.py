@@ -15,8 +15,8 @@ from skyproof.reproduction.agreement import comparison
 from skyproof.reproduction.paper_results import PAPER_RESULTS
 from skyproof.reproduction.report import write_reproduction_report
 from skyproof.reproduction.reproduction import Reproduction
-from skyproof.results.baseline import Baseline
 from skyproof.results.results import Results
+from skyproof.results.score_folder import Baseline
 from skyproof.results.statistics.intervals import Interval
 from tests.reproduction.fabricate import write_attack, write_scores
 

@@ -5,7 +5,7 @@ import csv
 import pytest
 
 from skyproof.reproduction.report import write_reproduction_report
-from skyproof.results.pairs.outcomes import Outcome, write_outcomes
+from skyproof.results.outcomes import Outcome, write_outcomes
 from skyproof.results.rows_file import write_rows
 from skyproof.results.score_folder import ScoreRecord, SetScore, write_record
 

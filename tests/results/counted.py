@@ -8,8 +8,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from skyproof.results.pairs.counts import OutcomeCounts, read_counts
-from skyproof.results.pairs.outcomes import Outcome, outcome_table, write_outcomes
+from skyproof.results.outcomes import (
+    Outcome,
+    OutcomeCounts,
+    outcome_table,
+    read_counts,
+    write_outcomes,
+)
 
 
 def count_outcomes(outcomes: Iterable[Outcome]) -> OutcomeCounts:

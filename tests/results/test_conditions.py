@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skyproof.results.conditions import condition_panels
-from skyproof.results.pairs.outcomes import Outcome
+from skyproof.results.outcomes import Outcome
 
 
 def outcomes(conditions):

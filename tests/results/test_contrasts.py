@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 
 from skyproof.results.statistics import contrasts
-from skyproof.results.statistics.contrasts import Group
-from skyproof.results.statistics.intervals import Sample, cluster_interval
-from skyproof.results.statistics.rates import overall_attack_success_rate
-from skyproof.results.statistics.repeats import DRAWS, SEEDS, TRAININGS, Repeat
+from skyproof.results.statistics.contrasts import DRAWS, SEEDS, TRAININGS, Group, Repeat
+from skyproof.results.statistics.intervals import (
+    Sample,
+    cluster_interval,
+    overall_attack_success_rate,
+)
 
 TILES, VEHICLES = 40, 6
 MARGIN = 1 - 0.025 ** (1 / TILES)

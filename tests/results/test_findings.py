@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import pytest
 
-from skyproof.results.baseline import Baseline, BestF1
 from skyproof.results.precheck import (
     MeasuredOn,
     PrecheckRecord,
@@ -15,6 +14,7 @@ from skyproof.results.precheck import (
     verdict,
     worst,
 )
+from skyproof.results.score_folder import Baseline, BestF1
 from skyproof.results.statistics.intervals import Interval
 
 SURE = Interval(0.99, 0.98, 1.0)

@@ -12,9 +12,9 @@ from skyproof.results.statistics.intervals import (
     _jackknife,
     cluster_interval,
     effective_limits,
+    overall_attack_success_rate,
     resample,
 )
-from skyproof.results.statistics.rates import overall_attack_success_rate
 from tests.results.simulated import WORLDS, coverage
 
 

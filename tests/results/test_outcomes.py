@@ -8,7 +8,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from skyproof.errors import StoredFileError
-from skyproof.results.pairs.outcomes import Outcome, read_outcomes, write_outcomes
+from skyproof.results.outcomes import Outcome, read_outcomes, write_outcomes
 
 
 def outcome(**changes):

@@ -7,8 +7,12 @@ import pytest
 from scipy import special
 
 from skyproof.errors import ConfigurationError
-from skyproof.results.pairs.counts import Series
-from skyproof.results.statistics.intervals import cluster_interval, resample
+from skyproof.results.outcomes import Series
+from skyproof.results.statistics.intervals import (
+    cluster_interval,
+    overall_attack_success_rate,
+    resample,
+)
 from skyproof.results.statistics.planning import (
     Assumptions,
     assume_from_pilot,
@@ -16,7 +20,6 @@ from skyproof.results.statistics.planning import (
     tiles_needed,
     tiles_to_show,
 )
-from skyproof.results.statistics.rates import overall_attack_success_rate
 from tests.results.counted import on_tiles
 from tests.results.simulated import Side, World, coverage
 

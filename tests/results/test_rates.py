@@ -6,7 +6,7 @@ from typing import get_type_hints
 import numpy as np
 import pytest
 
-from skyproof.results.pairs.outcomes import Outcome
+from skyproof.results.outcomes import Outcome
 from skyproof.results.statistics import rates
 from tests.results.counted import count_outcomes
 

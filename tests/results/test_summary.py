@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from skyproof.results import result
-from skyproof.results.pairs.outcomes import Outcome
+from skyproof.results.outcomes import Outcome
 from skyproof.results.score_folder import SetScore
 from skyproof.results.statistics.hypotheses import mcnemar_p
 from tests.results.counted import count_outcomes

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from skyproof.errors import ConfigurationError, StoredFileError
-from skyproof.results.pairs.counts import OutcomeCounts, Series, read_counts
-from skyproof.results.pairs.outcomes import Outcome, write_outcomes
+from skyproof.results.outcomes import Outcome, OutcomeCounts, Series, read_counts, write_outcomes
 from skyproof.results.rows_file import read_rows, write_rows
 from skyproof.results.score_folder import (
     ScoreFolder,

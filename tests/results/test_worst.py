@@ -7,7 +7,7 @@ import pytest
 
 from skyproof.files import write_json
 from skyproof.report.report import write_report
-from skyproof.results.pairs.outcomes import Outcome, write_outcomes
+from skyproof.results.outcomes import Outcome, write_outcomes
 from skyproof.results.results import Results
 from skyproof.results.rows_file import write_rows
 from skyproof.results.score_folder import ScoreRecord, SetScore, write_record

@@ -8,8 +8,7 @@ from msgspec import Struct
 
 from skyproof.assessment.suite import Suite
 from skyproof.console import say
-from skyproof.detectors.card import read_card
-from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS, reference_folder
+from skyproof.detectors.card import REFERENCE_DETECTORS, read_card, reference_folder
 from skyproof.documents import read_document
 from skyproof.files import write_json
 from skyproof.layout import Layout

@@ -16,7 +16,7 @@ from skyproof.camouflage.folder import load_camouflage
 from skyproof.camouflage.make import make_camouflage
 from skyproof.camouflage.name import QUERIED, TRANSFER, CamouflageName
 from skyproof.console import progress_bar
-from skyproof.detectors.reference_detectors import REFERENCE_DETECTORS
+from skyproof.detectors.card import REFERENCE_DETECTORS
 from skyproof.randomness import generator_of
 
 # Estimated seconds on one core: per million pixels and detector, and per query.

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Annotated
 from msgspec import Meta
 from tyro.conf import Positional
 
-from skyproof.detectors.card import require_detector_name
-from skyproof.detectors.reference_detectors import (
+from skyproof.detectors.card import (
     REFERENCE_DETECTORS,
     detector_folder,
     reference_folder,
+    require_detector_name,
 )
 from skyproof.errors import ConfigurationError, SkyproofError
 from skyproof.ranges import Fraction, GroundResolution, Risk, Seed

@@ -18,9 +18,8 @@ from skyproof.cli.vehicles import Vehicles
 from skyproof.console import say
 from skyproof.cycles.settings import Rendering
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.card import write_card
+from skyproof.detectors.card import detector_folder, write_card
 from skyproof.detectors.loaded import copy_detector, load_detector
-from skyproof.detectors.reference_detectors import detector_folder
 from skyproof.files import finished_folder
 from skyproof.imagery.clearing.vehicle_masks import VehicleFinder
 from skyproof.imagery.settings import (

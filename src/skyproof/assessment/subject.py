@@ -19,14 +19,14 @@ from skyproof.attacks.world import World
 from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.palette import ground_palette
 from skyproof.detectors.answers import BlackBoxDetector
-from skyproof.detectors.card import read_card
-from skyproof.detectors.detector import Detector, TrainableDetector
-from skyproof.detectors.loaded import load_detector, load_ensemble
-from skyproof.detectors.reference_detectors import (
+from skyproof.detectors.card import (
     REFERENCE_DETECTORS,
     detector_folder,
+    read_card,
     reference_folder,
 )
+from skyproof.detectors.detector import Detector, TrainableDetector
+from skyproof.detectors.loaded import load_detector, load_ensemble
 from skyproof.device import choose_device
 from skyproof.errors import ConfigurationError
 from skyproof.files import file_digest

@@ -78,7 +78,7 @@ class Precheck:
             )
         from skyproof.detectors.card import read_card
         from skyproof.device import choose_device
-        from skyproof.measure.frames import read_frames
+        from skyproof.measure.baseline import read_frames
         from skyproof.measure.precheck import PrecheckScenes, precheck_lines
         from skyproof.scenes.backgrounds import BackgroundSet
         from skyproof.vehicles.fleet import Fleet
@@ -142,7 +142,7 @@ class Precheck:
         from skyproof.detectors.card import read_card
         from skyproof.detectors.loaded import copy_with_threshold
         from skyproof.device import choose_device
-        from skyproof.measure.frames import read_frames
+        from skyproof.measure.baseline import read_frames
 
         (folder,) = self.detectors
         frames = read_frames(self.frames, self.frame_classes, read_card(folder).gsd_m)

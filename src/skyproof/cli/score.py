@@ -68,7 +68,7 @@ class Score(Rendering):
         from skyproof.detectors.card import read_card
         from skyproof.detectors.loaded import load_ensemble
         from skyproof.device import choose_device
-        from skyproof.measure.frames import read_frames
+        from skyproof.measure.baseline import read_frames
         from skyproof.measure.score import score
         from skyproof.measure.views import SceneChange, SceneRenderer
         from skyproof.scenes.backgrounds import BackgroundSet

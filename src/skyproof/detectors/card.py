@@ -1,6 +1,8 @@
 """The description of a detector in its folder, `detector.json`. Imports no torch."""
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -9,12 +11,16 @@ from typing import Annotated, Any
 from msgspec import Meta
 
 from skyproof.detectors.blueprint import Blueprint
-from skyproof.detectors.reference_detectors import detector_folder, reinstalled
 from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import write_json
 from skyproof.ranges import Fraction, GroundResolution, Name, WholeNumber, check_ranges, is_name
 from skyproof.words import detector_name
+
+REFERENCE_DETECTORS = ("retinanet", "faster_rcnn")
+"""YOLOv5 is trained on the user's machine, because its library has another licence."""
+
+REFERENCE_FOLDER = Path(__file__).with_name("reference")
 
 LEAST_AP = 0.2
 """Average precision (centre within 1 m) below which a detector is useless.
@@ -144,3 +150,34 @@ def require_detector_name(name: str, remedy: str) -> None:
             f"{name[:200]!r} is no name for a detector: at most 150 letters, digits, . _ - are, "
             f"and mean is taken; {remedy}."
         )
+
+
+def reference_folder(name: str) -> Path:
+    """Returns the folder of a detector that ships with skyproof; refuses the name of another."""
+    if name not in REFERENCE_DETECTORS:
+        raise ConfigurationError(
+            f"{name[:100]!r} does not come trained, only {' and '.join(REFERENCE_DETECTORS)} do; "
+            "train it (skyproof train), or name one of these."
+        )
+    return REFERENCE_FOLDER / name
+
+
+def detector_folder(place: str | Path) -> Path:
+    """The folder of a path, or of the name of a detector that ships; an own folder goes first."""
+    folder = Path(place)
+    named = str(place) in REFERENCE_DETECTORS and not folder.exists()
+    return REFERENCE_FOLDER / folder.name if named else folder
+
+
+@contextmanager
+def reinstalled(folder: Path) -> Iterator[None]:
+    """Adds the advice to install skyproof again to errors about a detector that ships with it."""
+    try:
+        yield
+    except StoredFileError as error:
+        if folder.parent != REFERENCE_FOLDER:
+            raise
+        wrong = str(error).partition(";")[0].rstrip(".")
+        raise StoredFileError(
+            f"A detector that came with skyproof cannot be used: {wrong}; install skyproof again."
+        ) from error

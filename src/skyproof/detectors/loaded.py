@@ -10,9 +10,14 @@ import torch
 
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.answers import Answering, BlackBoxDetector
-from skyproof.detectors.card import DetectorCard, read_card, write_card
+from skyproof.detectors.card import (
+    DetectorCard,
+    detector_folder,
+    read_card,
+    reinstalled,
+    write_card,
+)
 from skyproof.detectors.detector import TrainableDetector
-from skyproof.detectors.reference_detectors import detector_folder, reinstalled
 from skyproof.detectors.settings import DETECTOR_NAMES, SIZES
 from skyproof.detectors.validation import frozen_card
 from skyproof.errors import ConfigurationError, StoredFileError

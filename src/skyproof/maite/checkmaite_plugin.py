@@ -18,7 +18,7 @@ from pydantic import Field
 
 from skyproof.maite.datasets import batches
 from skyproof.maite.metric import HiddenVehicles
-from skyproof.results.pairs.outcomes import Match
+from skyproof.results.outcomes import Match
 
 _Row = dict[str, float | int | None]
 

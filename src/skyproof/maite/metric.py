@@ -12,11 +12,10 @@ from skyproof.detectors.matching import Criterion, match_images
 from skyproof.errors import ConfigurationError
 from skyproof.maite.datasets import batches
 from skyproof.maite.models import found_vehicles
-from skyproof.results.pairs.counts import Cell, count_pairs
+from skyproof.results.outcomes import Cell, count_pairs
 from skyproof.results.rows_file import interval_columns, nulls_for_undefined
 from skyproof.results.statistics.contrasts import Group, mean_interval
-from skyproof.results.statistics.intervals import Sample
-from skyproof.results.statistics.rates import attack_success_rate, enhancement_rate
+from skyproof.results.statistics.intervals import Sample, attack_success_rate, enhancement_rate
 from skyproof.seeds import numpy_generator
 
 _RATES = ("easr", "easr_low", "easr_high", "asr", "asr_low", "asr_high", "er")

@@ -25,8 +25,7 @@ from skyproof.measure.measure import compare
 from skyproof.measure.views import SceneChange, SceneRenderer, SceneView, counter, views
 from skyproof.randomness import generator_of
 from skyproof.render.renderer import TorchRenderer
-from skyproof.results.baseline import Baseline
-from skyproof.results.pairs.counts import count_cells
+from skyproof.results.outcomes import count_cells
 from skyproof.results.precheck import (
     LARGEST_EASR,
     Finding,
@@ -40,6 +39,7 @@ from skyproof.results.precheck import (
     verdict,
 )
 from skyproof.results.result import MAIN_MATCH
+from skyproof.results.score_folder import Baseline
 from skyproof.results.statistics.contrasts import Group, mean_interval
 from skyproof.results.statistics.intervals import Interval, Sample
 from skyproof.scenes.backgrounds import BackgroundSet

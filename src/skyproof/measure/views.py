@@ -19,7 +19,7 @@ from skyproof.errors import ConfigurationError
 from skyproof.render.dataset import in_threads, placed_vehicles
 from skyproof.render.frames import Frames, Renderer
 from skyproof.render.renderer import TorchRenderer
-from skyproof.results.pairs.outcomes import ORIGINAL, Match
+from skyproof.results.outcomes import ORIGINAL, Match
 from skyproof.results.precheck import Kind
 from skyproof.results.result import MAIN_MATCH
 from skyproof.scenes.scene import Scene

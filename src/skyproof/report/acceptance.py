@@ -18,7 +18,7 @@ from skyproof.errors import ConfigurationError
 from skyproof.files import file_digest, write_json
 from skyproof.layout import Layout
 from skyproof.report.figures import chances_figure
-from skyproof.results.pairs.counts import OutcomeCounts
+from skyproof.results.outcomes import OutcomeCounts
 from skyproof.results.precheck import findings, worst
 from skyproof.results.result import MAIN_MATCH
 from skyproof.results.results import RENDERER, Results

@@ -11,7 +11,6 @@ from msgspec import Meta, Struct
 from skyproof.documents import read_document
 from skyproof.layout import CLEARING_RECORD, Layout
 from skyproof.ranges import Fraction
-from skyproof.results.baseline import Baseline
 from skyproof.results.precheck import (
     Finding,
     FindingOutcome,
@@ -24,6 +23,7 @@ from skyproof.results.precheck import (
     worst,
 )
 from skyproof.results.results import Results
+from skyproof.results.score_folder import Baseline
 from skyproof.scenes.scene import scenes_digest
 from skyproof.words import detector_name, interval, listed, percent
 

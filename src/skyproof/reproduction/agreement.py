@@ -18,8 +18,7 @@ from skyproof.reproduction.paper_results import ON_BLENDER, ON_RENDERER, PAPER_R
 from skyproof.reproduction.reproduction import Reproduction, point_name
 from skyproof.results.result import MAIN_MATCH
 from skyproof.results.results import CYCLES, RENDERER, Results
-from skyproof.results.statistics.intervals import Interval
-from skyproof.results.statistics.rates import overall_attack_success_rate
+from skyproof.results.statistics.intervals import Interval, overall_attack_success_rate
 
 TEXTURE = re.compile(r"[TR]-[A-Za-z]+")
 

@@ -15,12 +15,11 @@ from skyproof.errors import ConfigurationError
 from skyproof.report.figures import GREY, INK, as_files
 from skyproof.reproduction.drawing import figure_style, panels, rule
 from skyproof.reproduction.paper_results import PAPER_RESULTS
-from skyproof.results.pairs.counts import OutcomeCounts, Series, repeat_of
+from skyproof.results.outcomes import OutcomeCounts, Series, repeat_of
 from skyproof.results.result import MAIN_MATCH
 from skyproof.results.results import RENDERER
 from skyproof.results.statistics.contrasts import Group, mean_interval
-from skyproof.results.statistics.intervals import Interval, Sample
-from skyproof.results.statistics.rates import overall_attack_success_rate
+from skyproof.results.statistics.intervals import Interval, Sample, overall_attack_success_rate
 
 # Okabe and Ito's colours, safe for colour-blind readers; markers differ as well.
 _TEXTURES = {

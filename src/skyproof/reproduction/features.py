@@ -30,7 +30,7 @@ from skyproof.reproduction.cells import (
 from skyproof.reproduction.drawing import figure_style, panels
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.reproduction.stored_features import GROUND, Features
-from skyproof.results.pairs.outcomes import ORIGINAL
+from skyproof.results.outcomes import ORIGINAL
 from skyproof.results.statistics.intervals import Interval, cluster_interval, resample
 from skyproof.words import detector_name
 

@@ -27,9 +27,9 @@ from skyproof.reproduction.cells import (
 from skyproof.reproduction.cycles import rates_under
 from skyproof.reproduction.drawing import figure_style, panels, rule
 from skyproof.reproduction.reproduction import Reproduction
-from skyproof.results.baseline import Baseline
 from skyproof.results.result import MEAN
 from skyproof.results.results import CYCLES, RENDERER, Results
+from skyproof.results.score_folder import Baseline
 from skyproof.words import detector_name
 
 _WEAK = 80.0

@@ -11,8 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from skyproof.detectors.card import DetectorCard, read_card
-from skyproof.detectors.reference_detectors import reference_folder
+from skyproof.detectors.card import DetectorCard, read_card, reference_folder
 from skyproof.errors import ConfigurationError, RunFolderError
 from skyproof.files import drop_empty_folder, finished_folder
 from skyproof.layout import Layout

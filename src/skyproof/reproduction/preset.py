@@ -13,7 +13,7 @@ from msgspec import Meta
 from skyproof.assessment.suite import AttackSteps
 from skyproof.attacks.settings import AttackSettings
 from skyproof.camouflage.name import CamouflageName, TextureConstraints
-from skyproof.detectors.reference_detectors import reference_folder
+from skyproof.detectors.card import reference_folder
 from skyproof.detectors.settings import Size, TrainingChanges
 from skyproof.documents import check_document, read_document
 from skyproof.errors import ConfigurationError

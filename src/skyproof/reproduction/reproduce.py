@@ -11,8 +11,8 @@ import torch
 from skyproof.assessment.run import Run
 from skyproof.console import say
 from skyproof.cycles.blender import find_blender
+from skyproof.detectors.card import reference_folder
 from skyproof.detectors.loaded import build_detector
-from skyproof.detectors.reference_detectors import reference_folder
 from skyproof.device import choose_device
 from skyproof.errors import ConfigurationError
 from skyproof.reproduction.command import Reproduce

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from skyproof.errors import StoredFileError
 from skyproof.files import write_beside
 from skyproof.ranges import Name, WholeNumber
-from skyproof.results.pairs.outcomes import REMEDY, read_table
+from skyproof.results.outcomes import REMEDY, read_table
 
 GROUND = "ground"
 """Stands where a camouflage's name would: no vehicle is in the box."""

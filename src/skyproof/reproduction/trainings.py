@@ -30,14 +30,19 @@ from skyproof.reproduction.cells import (
 )
 from skyproof.reproduction.layout import PaperLayout
 from skyproof.reproduction.reproduction import Reproduction
-from skyproof.results.pairs.counts import Cell, OutcomeCounts, repeat_of
+from skyproof.results.outcomes import Cell, OutcomeCounts, repeat_of
 from skyproof.results.result import MAIN_MATCH, MEAN
 from skyproof.results.results import RENDERER, Results
 from skyproof.results.score_folder import ScoreFolder, merge_scores
-from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
-from skyproof.results.statistics.intervals import Interval, Sample
-from skyproof.results.statistics.rates import overall_attack_success_rate
-from skyproof.results.statistics.repeats import DRAWS, TRAININGS, Repeat
+from skyproof.results.statistics.contrasts import (
+    DRAWS,
+    TRAININGS,
+    Group,
+    Repeat,
+    difference_interval,
+    mean_interval,
+)
+from skyproof.results.statistics.intervals import Interval, Sample, overall_attack_success_rate
 from skyproof.results.stored import read_detectors
 from skyproof.words import detector_name
 

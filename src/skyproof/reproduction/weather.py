@@ -16,7 +16,7 @@ from skyproof.reproduction.cells import Figure, TextTable, Topic, interval_cells
 from skyproof.reproduction.drawing import figure_style, panels, rule
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.results.conditions import shared_groups
-from skyproof.results.pairs.outcomes import Outcome
+from skyproof.results.outcomes import Outcome
 from skyproof.results.result import MEAN
 from skyproof.results.results import RENDERER, Results
 from skyproof.results.statistics.contrasts import difference_interval, mean_interval

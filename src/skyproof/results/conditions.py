@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skyproof.results.pairs.counts import count_cells, repeat_of
-from skyproof.results.pairs.outcomes import Outcome
+from skyproof.results.outcomes import Outcome, count_cells, repeat_of
 from skyproof.results.statistics.contrasts import Group, mean_interval
 from skyproof.results.statistics.intervals import Interval, Sample
 from skyproof.words import body_name

@@ -18,8 +18,8 @@ from skyproof.documents import read_document
 from skyproof.errors import StoredFileError
 from skyproof.files import new_file, write_json
 from skyproof.ranges import Count, Fraction, Name, Seed
-from skyproof.results.baseline import Baseline
 from skyproof.results.rows_file import flat_row, row_form, row_of
+from skyproof.results.score_folder import Baseline
 from skyproof.results.statistics.intervals import Interval
 from skyproof.words import detector_name, interval, percent
 

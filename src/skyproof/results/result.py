@@ -10,14 +10,15 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from skyproof.camouflage.name import CamouflageName
-from skyproof.results.pairs.counts import OutcomeCounts, Series, repeat_of
-from skyproof.results.pairs.outcomes import MATCHES, ORIGINAL, Match
+from skyproof.results.outcomes import MATCHES, ORIGINAL, Match, OutcomeCounts, Series, repeat_of
 from skyproof.results.rows_file import interval_columns, nulls_for_undefined
 from skyproof.results.score_folder import SetScore
 from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
 from skyproof.results.statistics.hypotheses import control_p, holm, unchanged_p
-from skyproof.results.statistics.intervals import UNDEFINED, Interval, Sample
-from skyproof.results.statistics.rates import (
+from skyproof.results.statistics.intervals import (
+    UNDEFINED,
+    Interval,
+    Sample,
     attack_success_rate,
     enhancement_rate,
     overall_attack_success_rate,

@@ -14,13 +14,11 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.detectors.card import DetectorCard
 from skyproof.files import inside, write_json
 from skyproof.layout import Layout
-from skyproof.results.baseline import Baseline
-from skyproof.results.pairs.counts import OutcomeCounts, Series, repeat_of
-from skyproof.results.pairs.outcomes import Outcome, read_outcomes
+from skyproof.results.outcomes import Outcome, OutcomeCounts, Series, read_outcomes, repeat_of
 from skyproof.results.precheck import PrecheckRecord, read_prechecks
 from skyproof.results.result import LENIENT_MATCH, MAIN_MATCH, MEAN, Result, summarise
 from skyproof.results.rows_file import flat_row
-from skyproof.results.score_folder import Pair, ScoreFolder, merge_scores
+from skyproof.results.score_folder import Baseline, Pair, ScoreFolder, merge_scores
 from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
 from skyproof.results.statistics.intervals import Interval, Sample
 from skyproof.results.stored import (

@@ -1,4 +1,7 @@
-"""Intervals of rates from drawn clusters, crossed with drawn vehicles.
+"""Rates of matched pairs, and their intervals from drawn clusters, crossed with drawn vehicles.
+
+Counts `[..., 3]` are of the same vehicles in the original and in the adversarial image: detected in
+both (V_dd), lost (V_dm, in the original only) and gained (V_md, in the adversarial only).
 
 Vehicles on one background tile share ground, light and neighbours, so the bootstrap resamples
 tiles. The vehicles of the fleet are a second sample, crossed with the first. Their part of the
@@ -19,11 +22,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+import numpy.typing as npt
 from jaxtyping import Float, Int, Num
 from scipy import special
 
 REPLICATES = 2000
-_TAIL = 0.025
+TAIL = 0.025
 
 
 @dataclass(frozen=True)
@@ -208,7 +212,7 @@ def bootstrap_interval(
     else:
         low, high = np.quantile(replicates, _levels(estimate, replicates, left_one_out))
     if added > 0:
-        wider = math.sqrt(added) * float(special.stdtrit(degrees, 1 - _TAIL))
+        wider = math.sqrt(added) * float(special.stdtrit(degrees, 1 - TAIL))
         low = estimate - math.hypot(max(estimate - low, 0.0), wider)
         high = estimate + math.hypot(max(high - estimate, 0.0), wider)
     if exact and not unanimous and variance + added > 0:
@@ -271,18 +275,18 @@ def effective_limits(
     share = (estimate - span[0]) / width
     if not 0 < share < 1:
         return estimate, estimate
-    quantiles = float(special.ndtri(1 - _TAIL) / special.stdtrit(degrees, 1 - _TAIL))
+    quantiles = float(special.ndtri(1 - TAIL) / special.stdtrit(degrees, 1 - TAIL))
     size = share * (1 - share) / (variance / width**2) * quantiles**2
     hits = share * size
     misses = (1 - share) * size
-    low = special.betaincinv(hits, misses + 1, _TAIL)
-    high = special.betaincinv(hits + 1, misses, 1 - _TAIL)
+    low = special.betaincinv(hits, misses + 1, TAIL)
+    high = special.betaincinv(hits + 1, misses, 1 - TAIL)
     return span[0] + width * float(low), span[0] + width * float(high)
 
 
 def unanimous_margin(clusters: int) -> float:
     """Gives the distance of the exact binomial limit where all clusters agree, 1 − 0.025^(1/C)."""
-    return 1 - _TAIL ** (1 / clusters)
+    return 1 - TAIL ** (1 / clusters)
 
 
 def _levels(
@@ -297,6 +301,31 @@ def _levels(
     deviation = left_one_out.mean() - left_one_out if len(left_one_out) else np.zeros(1)
     spread = np.sum(deviation**2)
     acceleration = np.sum(deviation**3) / (6 * spread**1.5) if spread > 0 else 0.0
-    quantile = special.stdtrit(clusters - 1, 1 - _TAIL) * math.sqrt(clusters / (clusters - 1))
+    quantile = special.stdtrit(clusters - 1, 1 - TAIL) * math.sqrt(clusters / (clusters - 1))
     moved = bias + np.array([-quantile, quantile])
     return special.ndtr(bias + moved / np.maximum(1 - acceleration * moved, 1e-3))
+
+
+def attack_success_rate(counts: Num[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape"]:
+    """Gives ASR = |V_dm| / |V_dd ∪ V_dm|, the share of found vehicles now missed; else nan."""
+    return _divide(counts[..., 1], counts[..., 0] + counts[..., 1])
+
+
+def enhancement_rate(counts: Num[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape"]:
+    """Gives ER = |V_md| / |V_dd ∪ V_dm|, vehicles found only since; it may exceed 1."""
+    return _divide(counts[..., 2], counts[..., 0] + counts[..., 1])
+
+
+def overall_attack_success_rate(counts: Num[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape"]:
+    """Gives EASR = ASR − ER, which is 1 − TP_adversarial / TP_original at the fixed threshold."""
+    return _divide(counts[..., 1] - counts[..., 2], counts[..., 0] + counts[..., 1])
+
+
+def false_alarms_per_km2(false_alarms: int, area_m2: float) -> float:
+    """Detections on no vehicle per square kilometre of imaged ground; nan without images."""
+    return 1e6 * false_alarms / area_m2 if area_m2 > 0 else float("nan")
+
+
+def _divide(numerator: npt.ArrayLike, denominator: npt.ArrayLike) -> Float[np.ndarray, "*shape"]:
+    below = np.asarray(denominator, dtype=np.float64)
+    return np.divide(numerator, below, out=np.full_like(below, np.nan), where=below > 0)

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
-from skyproof.results.pairs.counts import OutcomeCounts
+from skyproof.results.outcomes import OutcomeCounts
 from skyproof.results.statistics.acceptance import Requirement, evidence_above, evidence_below
 from skyproof.results.statistics.intervals import Sample, effective_limits, unanimous_margin
 
