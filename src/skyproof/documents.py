@@ -54,15 +54,9 @@ def read_document(
 
     Every number is finite, and whole numbers have at most 64 bits. A field that a dataclass does
     not know is refused at any depth, because it may be misspelt. A Struct decides itself about
-    unknown fields. The error of a file that is missing, no JSON, or of another version or form is
-    one sentence with the file, the place in it and the remedy.
-
-    Args:
-        kind: type of the content, such as a dataclass, or `dict[str, Any]`.
-        remedy: advice of the error, such as "copy the file again".
-        version: required value of the field "format"; other versions are refused before their
-            fields are read. None for files without one.
-        error: class of the error.
+    unknown fields. The error is one sentence with the file, the place in it and the remedy, such as
+    "copy the file again". With `version`, the field "format" must have it; others are refused
+    before their fields are read.
     """
     content = _content(path, remedy, error)
     if version is not None:

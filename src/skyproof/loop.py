@@ -45,17 +45,12 @@ class Loop:
     `checkpoint_every` steps and after the last.
 
     Attributes:
-        folder: gets `steps.jsonl`, and `checkpoint.safetensors` until the run is finished.
-        identity: JSON values that identify the run; a folder with another identity is refused.
-        steps: number of the last step.
-        parts: everything that changes from step to step, by name.
-        other: name in errors of a run of another identity, such as "a training with other
-            settings".
-        remedy: advice in errors about a damaged checkpoint, such as "remove it and train again".
+        identity: JSON values; a folder with another identity is refused.
+        other: name in errors of a run of another identity.
+        remedy: advice in errors about a damaged checkpoint.
         on_row: called with each row of `steps.jsonl` after its step.
-        facts: JSON values that are decided once, before the first step, and kept in the checkpoint.
+        facts: JSON values that are decided once, before the first step.
         step: number of the current step, or of the last finished one; 0 at the start.
-        rows: rows of `steps.jsonl` so far.
     """
 
     folder: Path
@@ -94,15 +89,12 @@ class Loop:
             raise StoredFileError(f"{path} does not fit this run; {self.remedy}.") from error
         self.facts = record.facts
         self.step = record.step
-        self.rows = [row for row in self._stored_rows() if row["step"] <= self.step]
-
-    def _stored_rows(self) -> list[dict[str, Any]]:
-        """Reads `steps.jsonl`, without rows of later steps that a kill may have left."""
-        path = self.folder / _ROWS
-        rows: list[dict[str, Any]] = read_lines(path, dict[str, Any], self.remedy)
+        written = self.folder / _ROWS
+        rows: list[dict[str, Any]] = read_lines(written, dict[str, Any], self.remedy)
         for row in rows:
-            check_document(row.get("step"), WholeNumber, f"{path}, step", self.remedy)
-        return rows
+            check_document(row.get("step"), WholeNumber, f"{written}, step", self.remedy)
+        # A kill may have left rows of later steps.
+        self.rows = [row for row in rows if row["step"] <= self.step]
 
     def __iter__(self) -> Iterator[int]:
         """Gives the numbers of the remaining steps; a part that is not finite stops them."""

@@ -167,10 +167,7 @@ def _parse(words: Sequence[str], commands: Commands) -> Any:
 
 
 def _as_typed(message: str, words: Sequence[str]) -> str:
-    """Names the option that a message begins with as the user wrote it.
-
-    So "steps expects ..." becomes "--settings.steps expects ...".
-    """
+    """Names the option that a message begins with as typed: "steps" becomes "--settings.steps"."""
     field, space, rest = message.partition(" ")
     options = [word.partition("=")[0] for word in words[1:] if word.startswith("--")]
     typed = [
@@ -205,8 +202,7 @@ def _summary(command: type[Any]) -> str:
 def _keep_freed_memory() -> None:
     """Tells the GNU C library not to hand large freed blocks back to the system.
 
-    Every step of training and attack needs the same large blocks again; getting them fresh costs
-    page faults, up to a quarter of the rendering time. Elsewhere than on glibc nothing happens.
+    Every step needs the same blocks again; fresh ones cost up to a quarter of the rendering time.
     """
     trim_threshold = -1
     mmap_threshold = -3

@@ -33,8 +33,7 @@ def open_picture(
 ) -> Image.Image:
     """Reads the header of a picture; `read_pixels` or Pillow decodes its pixels.
 
-    It is a PNG, JPEG, TIFF, JPEG 2000, BMP or WebP file, or of a format of Pillow in `also`.
-    `remedy` is the advice of the error, such as "replace it, or leave it out".
+    Formats are those of `_FORMATS` and of Pillow in `also`; `remedy` is the advice of the error.
     """
     refuse_special(path, remedy, error=error)
     try:
@@ -115,8 +114,8 @@ def decoded(
 ) -> UInt8[np.ndarray, ...]:
     """Decodes an open picture, perhaps one that a library found inside another file.
 
-    `mode` is Pillow's name of the wanted pixels: "L" gives bytes `[H, W]`, "RGB" and "RGBA"
-    `[H, W, 3 or 4]`. `place` names the picture in the error.
+    `mode` is Pillow's: "L" gives bytes `[H, W]`, "RGB" and "RGBA" `[H, W, 3 or 4]`. `place` names
+    the picture in the error.
     """
     _refuse_giant(picture, place, remedy, error)
     # A picture made in memory has no format.

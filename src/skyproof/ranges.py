@@ -91,11 +91,7 @@ def check_ranges(settings: object) -> None:
 
 
 def check_value(name: str, value: Any, hint: Any) -> None:
-    """Checks a value against an annotation with limits, such as `Count` or `tuple[Fraction, ...]`.
-
-    The value, which `name` names in the error, is a number, a text, or a tuple of such; numbers of
-    NumPy, too.
-    """
+    """Checks a number, a text, or a tuple of such against an annotation with limits."""
     try:
         msgspec.convert(_plain(value), hint)
     except msgspec.ValidationError as error:

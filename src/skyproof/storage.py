@@ -20,11 +20,10 @@ from skyproof.files import refuse_special, to_json, write_bytes
 def write_tensors(
     path: Path, tensors: Mapping[str, Tensor], record: Mapping[str, Any] | None = None
 ) -> None:
-    """Writes tensors, and a record if there is one, to one file, whole or not at all.
+    """Writes tensors, and a JSON record if there is one, to one file, whole or not at all.
 
-    Record and tensors share a file, so that a kill can never leave one older than the other.
-    Tensors may be on any device, but no two may share memory. The record is any JSON value. Nothing
-    is written if a number is not finite.
+    No two tensors may share memory, and every number must be finite. A kill can never leave record
+    or tensors older than the other.
     """
     plain = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     broken = _not_finite(plain)
@@ -40,8 +39,7 @@ def write_tensors(
 def read_tensors(path: Path, remedy: str) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """Reads a file of `write_tensors`; opening it runs no code.
 
-    The tensors are on the CPU, and the record is empty if none was written. `remedy` is the advice
-    of the error, such as "make the camouflage again".
+    The tensors are on the CPU, and the record is empty if none was written.
     """
     refuse_special(path, remedy)
     if not Path(path).is_file():

@@ -198,8 +198,8 @@ def test_a_palette_of_one_colour_is_refused():
 
 
 def test_fixed_colours_need_a_palette():
-    with pytest.raises(ConfigurationError, match="expect a palette"):
-        UniversalTexture(CamouflageName.parse("T-Fc"), generator=drawn(0))
+    with pytest.raises(ConfigurationError, match="give them with --palette"):
+        make_camouflage("T-Fc", generator=drawn(0))
 
 
 @pytest.mark.parametrize("name", ["T-PixLc-0", "R-PixLc_search", "C-PixLc-par@0.2"])

@@ -10,8 +10,7 @@ from skyproof.assessment.answers import say_answers, say_expected, say_verdict
 from skyproof.assessment.attacking import attacks, controls, scored
 from skyproof.assessment.command import Request, own_options
 from skyproof.assessment.judging import enough_ground, precheck, report, score, still_open
-from skyproof.assessment.look import look_at
-from skyproof.assessment.planning import plan_words
+from skyproof.assessment.look import look_at, plan_words
 from skyproof.assessment.preparing import fleets, prepare, rendered, scenes
 from skyproof.assessment.run import SOURCES, Run, Step
 from skyproof.assessment.subject import REFERENCE_GSD_M, Subject, checked_object, subject_of
@@ -83,7 +82,7 @@ def run_assessment(
     run = Run(request.out, config, [*assess_steps(its)])
     if request.cycles:
         find_blender(request.blender)
-    seen = look_at(its).sentences if not request.out.exists() else ()
+    _, seen = look_at(its) if not request.out.exists() else (0, [])
     with run.begun(str(its.device)):
         say(f"skyproof, {', '.join(its.names)} on {its.device}, run folder {request.out}")
         for sentence in (*seen, *_limits(its)):
@@ -102,8 +101,8 @@ def run_assessment(
 def plan_assessment(request: Request, suite_file: Path = SUITE) -> None:
     """Prints what the imagery holds, the size of the test and the time; writes nothing."""
     its = subject_of(request, read_suite(suite_file), None)
-    look = look_at(its)
-    for line in (*look.sentences, *plan_words(its, look.test_tiles, [*assess_steps(its)])):
+    test_tiles, seen = look_at(its)
+    for line in (*seen, *plan_words(its, test_tiles, [*assess_steps(its)])):
         say(line)
 
 

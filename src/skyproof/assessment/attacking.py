@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from skyproof.assessment.run import START_S, Step
+from skyproof.assessment.run import ATTACK_S, CONTROL_S, START_S, Step
 from skyproof.assessment.subject import Subject
 from skyproof.assessment.suite import texture_under
 from skyproof.attacks.making import Maker, draw_random_control
@@ -19,9 +19,8 @@ from skyproof.console import progress_bar
 from skyproof.detectors.card import REFERENCE_DETECTORS
 from skyproof.randomness import generator_of
 
-# Estimated seconds on one core: per million pixels and detector, and per query.
-_ATTACK_S = 4.0
 _QUERY_S = 0.03
+"""Estimated seconds of a query on one core."""
 
 
 def attacks(its: Subject) -> Iterator[Step]:
@@ -77,7 +76,7 @@ def attack(
         work,
         (settings, attacked, best_of, its.attack_px, its.places),
         growing=True,
-        effort_s=START_S + _ATTACK_S * images * its.attack_px**2 / 1e6,
+        effort_s=START_S + ATTACK_S * images * its.attack_px**2 / 1e6,
     )
 
 
@@ -133,7 +132,7 @@ def _drawn(its: Subject, texts: Sequence[str], texture: str | None = None) -> St
         work,
         (texts, its.seed, texture),
         growing=True,
-        effort_s=START_S + 0.1 * len(names),
+        effort_s=START_S + CONTROL_S * len(names),
     )
 
 

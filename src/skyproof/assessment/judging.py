@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from skyproof.assessment.preparing import RENDER_S, VEHICLE_CLASSES, YOURS
-from skyproof.assessment.run import START_S, Step
+from skyproof.assessment.preparing import VEHICLE_CLASSES, YOURS
+from skyproof.assessment.run import DETECT_S, RENDER_S, START_S, Step, precheck_images
 from skyproof.assessment.subject import Subject
 from skyproof.cli.precheck import Precheck
 from skyproof.cli.score import Score
@@ -21,13 +21,6 @@ from skyproof.results.statistics.acceptance import Requirement, fewest_tiles
 from skyproof.results.statistics.planning import tiles_to_show
 from skyproof.scenes.scene import read_scenes
 from skyproof.words import detector_name, percent
-
-# Estimated seconds on one core per million pixels and detector.
-_DETECT_S = 3.0
-
-_TRIALS = 62
-"""Changes of every scene in a precheck, without random controls."""
-_CONTROLS = 6
 
 
 def enough_ground(its: Subject, requirement: Requirement) -> Step:
@@ -70,7 +63,7 @@ def precheck(its: Subject) -> Step:
         seed=its.seed,
         device=its.request.device,
     )
-    images = scenes * (1 + _TRIALS + _CONTROLS * suite.check_draws)
+    images = precheck_images(scenes, suite.check_draws)
     return Step(
         "check",
         "detectors",
@@ -170,4 +163,4 @@ def _frames(its: Subject) -> tuple[str, ...]:
 
 def _looked_at_s(its: Subject, renderer: str) -> float:
     """Estimated seconds to render all test scenes once and run all detectors on them."""
-    return (RENDER_S[renderer] + _DETECT_S * len(its.names)) * its.test_megapixels
+    return (RENDER_S[renderer] + DETECT_S * len(its.names)) * its.test_megapixels

@@ -1,14 +1,14 @@
-"""A look at imagery and labels before any work: a mistake costs seconds then, and not an hour."""
+"""What is said before any work: a mistake in imagery or labels, the size of the test, the time."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from statistics import median
 
 from skyproof.assessment.preparing import tiling_of
+from skyproof.assessment.run import Step, duration
 from skyproof.assessment.subject import Subject
 from skyproof.detectors.import_checkpoint import Checkpoint, read_blueprint
 from skyproof.errors import ImageryError
@@ -20,6 +20,13 @@ from skyproof.imagery.tiles.grid import Grid, cells_of, lay_grids
 from skyproof.imagery.tiles.placed_labels import vehicle_classes
 from skyproof.imagery.tiles.sources import Source, SourceReader, find_images, inspect_source
 from skyproof.results.statistics.acceptance import fewest_tiles
+from skyproof.results.statistics.planning import (
+    Assumptions,
+    expected_half_width,
+    tiles_needed,
+    tiles_to_decide,
+    tiles_to_show,
+)
 from skyproof.words import percent
 
 _LENGTHS_M = (3.0, 7.0)
@@ -28,23 +35,18 @@ _LENGTHS_M = (3.0, 7.0)
 _FEW = 5
 """Labels from which a median is taken seriously."""
 
+_VEHICLES = 3
+"""Mean number in a test scene."""
+_EASR = 0.8
+_CORRELATION = 0.1
+"""Assumed correlation of vehicles on one tile."""
+_HALF_WIDTH = 0.05
 
-@dataclass(frozen=True)
-class Look:
-    """What the imagery holds, at most: the number of test tiles, and sentences for the user."""
 
-    test_tiles: int
-    sentences: tuple[str, ...] = ()
+def look_at(its: Subject) -> tuple[int, list[str]]:
+    """Reads what imagery, labels and checkpoint say; gives the most test tiles, and sentences.
 
-
-def look_at(its: Subject) -> Look:
-    """Reads what imagery, labels and checkpoint say of themselves.
-
-    Raises:
-        ImageryError: no tile fits, labelled vehicles have an impossible length, or the test tiles
-            cannot bear the requirement.
-        ConfigurationError: a class does not exist.
-        StoredFileError: the checkpoint cannot be read.
+    Refuses tiles that do not fit, vehicles of an impossible length, and too few test tiles.
     """
     request = its.request
     if request.vehicle_classes and its.black_box is None:
@@ -52,7 +54,7 @@ def look_at(its: Subject) -> Look:
         place, classes = request.detectors[0], request.vehicle_classes
         read_blueprint(Checkpoint(place, kind, classes, request.architecture), 1.0)
     if not request.imagery:
-        return Look(its.suite.tiles[3])
+        return its.suite.tiles[3], []
     tiling = tiling_of(its)
     notes: list[str] = []
     with SourceReader() as reader:
@@ -75,7 +77,7 @@ def look_at(its: Subject) -> Look:
                 "risks, not even one that loses nothing; give more imagery, or leave out --accept "
                 "and --reject."
             )
-    return Look(test_tiles, tuple(sentences))
+    return test_tiles, sentences
 
 
 def _imagery(sources: Sequence[Source], grids: Sequence[Grid], tiles: int) -> str:
@@ -160,3 +162,35 @@ def _lengths_m(
                 if len(label.corners) > 1:
                     lengths_m.append(label.length * scale_m)
     return lengths_m, count
+
+
+def plan_words(its: Subject, tiles: int, steps: Sequence[Step]) -> Iterator[str]:
+    """Tells the size of a test on at most so many tiles, the size it needs, and the time."""
+    scenes = its.suite.test_images
+    # Scenes fall on tiles at random, so that some tiles are seen twice and some never.
+    shown = max(1, round(tiles * (1 - (1 - 1 / max(tiles, 1)) ** scenes)))
+    each = max(_VEHICLES * scenes / shown, 1.0)
+    effect = 1 + max(each - 1, 0) * _CORRELATION
+    fleet = its.suite.vehicles[3]
+    assumptions = Assumptions(_EASR, vehicles_per_tile=each, design_effect=effect, fleet=fleet)
+    width = expected_half_width(shown, assumptions)
+    yield (
+        f"Test: {scenes} scenes with about {_VEHICLES * scenes} vehicles on {shown} of "
+        f"{'at most ' if its.request.imagery else ''}{tiles} test tiles. The 95 % interval of an "
+        f"EASR of {percent(_EASR)} would be about ±{100 * width:.0f} percentage points."
+    )
+    needed = tiles_needed(_HALF_WIDTH, assumptions)
+    if needed is not None:
+        yield f"For ±{100 * _HALF_WIDTH:.0f} points it takes about {needed:,} such tiles."
+    requirement = its.request.requirement
+    if requirement is not None:
+        fewest = fewest_tiles(requirement.reject, requirement.consumer_risk)
+        decides = tiles_to_decide(requirement, assumptions)
+        verdict = "enough" if shown >= fewest else "too few"
+        yield (
+            f"Requirement: no verdict is possible on fewer than {fewest} tiles that scenes stand "
+            f"on ({shown} are {verdict}), which takes about {tiles_to_show(fewest, scenes):,} "
+            f"test tiles. On about {decides:,}, nine of ten tests decide it."
+        )
+    effort_s = math.fsum(step.effort_s for step in steps)
+    yield f"Time: {len(steps)} steps, about {duration(effort_s)} on one CPU core."

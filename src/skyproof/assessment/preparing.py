@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from skyproof.assessment.run import START_S, Step
+from skyproof.assessment.run import GROUND_S, RENDER_S, START_S, VEHICLE_S, Step
 from skyproof.assessment.subject import Subject
 from skyproof.cli.clear import FAILED, clear_tiles, failed_precheck
 from skyproof.cli.ground import Ground
@@ -40,11 +40,8 @@ VEHICLE_CLASSES = ("vehicle",)
 # Train, validation, attack and test: roughly the shares of a suite's drawn tiles.
 _SHARES = (0.0, 0.25, 0.25, 0.5)
 
-# Estimated seconds on one core: in all, per million pixels, and per vehicle.
 _LONG_S = 60.0
-_GROUND_S = 2.6
-_VEHICLE_S = 0.08
-RENDER_S = {"torch": 3.2, "cycles": 30.0}
+"""Estimated seconds of other steps on one core."""
 
 
 def prepare(its: Subject) -> Iterator[Step]:
@@ -82,7 +79,7 @@ def drawn_ground(
     out = layout.backgrounds
     tiling = tiling_for_images(its.image_px, gsd_m=its.gsd_m, imagery=False)
     draw = Ground(out, tiles=counts, seed=its.seed, tiling=tiling)
-    effort_s = START_S + _GROUND_S * sum(counts) * tiling.size_px**2 / 1e6
+    effort_s = START_S + GROUND_S * sum(counts) * tiling.size_px**2 / 1e6
     return Step("ground", title, (out,), draw.run, (counts, tiling, its.seed), effort_s=effort_s)
 
 
@@ -182,7 +179,7 @@ def fleets(its: Subject, layout: Layout, title: str = "fleets") -> Step:
     """Draws the vehicles of the four splits."""
     counts = its.suite.vehicles
     draw = Vehicles(layout.fleets, counts=counts, seed=its.seed)
-    effort_s = START_S + _VEHICLE_S * sum(counts)
+    effort_s = START_S + VEHICLE_S * sum(counts)
     drawn = FleetSettings(paints=draw.paints, shapes=draw.shapes)
     settings = (counts, drawn, its.seed)
     return Step("vehicles", title, (layout.fleets,), draw.run, settings, effort_s=effort_s)

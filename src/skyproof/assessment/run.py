@@ -26,8 +26,15 @@ from skyproof.results.stored import Timing, read_environment, read_timings
 # Every run's config names one of them, and a seed.
 _RECIPES = {"suite", "preset"}
 
-# Seconds that a step takes before its work, on one core.
+# Estimated seconds on one core: of a step before its work, for a vehicle, a random control, and
+# a million pixels, before one detector where there is one.
 START_S = 5.0
+VEHICLE_S = 0.08
+CONTROL_S = 0.1
+GROUND_S = 2.6
+RENDER_S = {"torch": 3.2, "cycles": 30.0}
+DETECT_S = 3.0
+ATTACK_S = 4.0
 
 SOURCES = "sources_sha256"
 """Where a run's config keeps the digests of the user's files, by path."""
@@ -41,15 +48,13 @@ _PLACE = ("device", "blender", "workers")
 
 @dataclass(frozen=True)
 class Step:
-    """One thing that a run does once.
+    """One thing that a run does once; its outputs exist when it is finished.
 
     Attributes:
         kind: kind of work, such as "train"; it groups steps in tables of times.
         name: object of the work; kind and name together are unique in a run.
-        outputs: files and folders that the step leaves. A step is finished if they exist.
         settings: plain values, paths and dataclasses that decide the outputs, beside those of
             earlier steps.
-        inputs: files and folders that must exist before.
         growing: whether a stopped step leaves half-filled folders from which it resumes; otherwise
             an output appears whole or not at all.
         renewed: whether changed settings or newer inputs repeat the step. Other steps are kept.
@@ -83,10 +88,6 @@ class Step:
     def places(self) -> list[Path]:
         """Where a stopped step leaves files from which it resumes."""
         return [output.parent if self.growing else output for output in self.outputs]
-
-    def is_begun(self) -> bool:
-        """Whether it has left files from which it resumes."""
-        return any(place.exists() for place in self.places)
 
     def is_finished(self) -> bool:
         """Whether its outputs exist, and are new enough if the step is renewed."""
@@ -214,7 +215,8 @@ class Run:
     def _changes_what_is_begun(self) -> bool:
         """Whether a begun step had other settings, or is no step of this run."""
         known = self._kept()
-        begun = {step.id for step in self.steps if step.is_begun() and not step.renewed}
+        kept_steps = (step for step in self.steps if not step.renewed)
+        begun = {step.id for step in kept_steps if any(map(Path.exists, step.places))}
         if not known:
             return bool(begun)
         changed = any(
@@ -312,6 +314,11 @@ def time_left_s(
     speed = (_TRUSTED_S + took_s) / (_TRUSTED_S + sum(step.effort_s for step in done))
     rest_s = sum(step.effort_s for step in steps if step.id not in seconds)
     return speed * rest_s / cores
+
+
+def precheck_images(scenes: int, draws: int) -> int:
+    """Images of a precheck: every scene as it is, 62 times changed, and in six random controls."""
+    return scenes * (1 + 62 + 6 * draws)
 
 
 def duration(seconds: float) -> str:

@@ -49,11 +49,7 @@ _SIDES = (".shp", ".dbf", ".prj")
 class Subject:
     """The detectors, ground and vehicles of an assessment, which its steps share.
 
-    Attributes:
-        names: names of the detectors.
-        gsd_m: metres per pixel of the detectors' images.
-        sources: SHA-256 of the user's files, by path.
-        black_box: the detector, if it is a Python object; else None.
+    Sources are the SHA-256 of the user's files, by path; a black box is a Python object.
     """
 
     request: Request

@@ -201,8 +201,7 @@ class _Run:
     def search(self) -> _Batch:
         """Tries a random change of the finished camouflage, kept if the objective is lower.
 
-        Both are tried on the same half of a batch, so that a search has as many forward passes as
-        an attack of as many steps.
+        Both see the same half of a batch: as many forward passes as an attack of as many steps.
         """
         settings, step = self.settings, self.loop.step
         scenes = self.world.step_scenes(max(1, settings.batch_size // 2), settings.seed, step)

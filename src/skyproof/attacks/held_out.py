@@ -24,10 +24,9 @@ BATCH_SIZE = 8
 class Hidden(NamedTuple):
     """How well a camouflage hides vehicles; the greater of two hides more.
 
-    Attributes:
-        hidden: mean EASR of the detectors. A vehicle is found if a candidate at the threshold has
-            its centre within 1 m. Other rates use detections, after suppression.
-        silence: minus the mean best score on the target, which decides between equals.
+    Mean EASR of the detectors comes first. A vehicle is found if a candidate at the threshold has
+    its centre within 1 m; other rates use detections, after suppression. Silence is minus the mean
+    best score on the target, which decides between equals.
     """
 
     hidden: float

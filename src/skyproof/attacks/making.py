@@ -48,10 +48,7 @@ def draw_random_control(
     texture: Camouflage | None = None,
     settings: CamouflageSettings | None = None,
 ) -> None:
-    """Draws a random control, such as "R-PixFc-3", into a folder of its own (section 5.4).
-
-    Arguments are those of `make_camouflage`.
-    """
+    """Draws a random control (section 5.4) into a folder, from arguments of `make_camouflage`."""
     settings = settings or CamouflageSettings()
     drawn = {
         "seed": seed,
@@ -66,13 +63,9 @@ def draw_random_control(
 
 @dataclass(frozen=True)
 class Maker:
-    """Makes camouflages against detectors, in one world.
+    """Makes camouflages against detectors that are attacked together, in one world, on a device.
 
-    Attributes:
-        detectors: attacked together, on `device`.
-        device: where camouflages are drawn and optimised.
-        palette: colours of Fc, and those from which Lc and Pix start.
-        camouflage: numbers that the names leave open.
+    The palette has the colours of Fc, and those from which Lc and Pix start.
     """
 
     detectors: Sequence[Detector]
@@ -87,8 +80,7 @@ class Maker:
     ) -> None:
         """Chooses a plain-paint or best-of-N control, and optimises every other camouflage.
 
-        `draws` is the number of random draws of a best-of-N control, `texture` the finished one
-        under the shape of a sequential combination. A progress bar is shown.
+        `draws` is the number of a best-of-N control's, `texture` lies under a sequential shape.
         """
         if name.has_candidates:
             with progress_bar(f"choose {name}") as update:
@@ -165,9 +157,8 @@ def choose(
 ) -> tuple[Camouflage, dict[str, Any]]:
     """Chooses the camouflage that hides most vehicles on held-out scenes, mean over detectors.
 
-    All are tried on a quarter of the scenes, and the best quarter of them on all scenes. Of equals
-    the one with the lower scores on its targets wins. `progress` is called with (candidates tried,
-    candidates in all). Returns the best candidate, and the choice as JSON values.
+    All are tried on a quarter of the scenes, the best quarter of them on all; lower scores on the
+    targets decide between equals. Returns the best, and the choice as JSON values.
     """
     first = []
     for number, candidate in enumerate(candidates):

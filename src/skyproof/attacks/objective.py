@@ -83,18 +83,14 @@ def _term(weight: float, losses: Float[Tensor, " B"]) -> Float[Tensor, ""]:
 def balanced_weights(losses: Mapping[str, Sequence[float]]) -> dict[str, float]:
     """Gives the weights that bring every detector's mean of these losses to 1.
 
-    Differences from the paper: its weights suit losses that partly sum over anchors (table S2),
-    and ours are normalised per image.
+    Differences from the paper: its weights suit losses that partly sum over anchors (table S2).
     """
     return {name: 1.0 / max(sum(values) / len(values), 1e-8) for name, values in losses.items()}
 
 
 @torch.no_grad()
 def target_scores(detector: Detector, frames: Frames, gsd_m: float) -> Float[Tensor, " B"]:
-    """Gives the highest score of a candidate within 1 m of the image's one vehicle; 0 without one.
-
-    The candidates of a black-box detector are its detections.
-    """
+    """Highest score (a black box: of detections) within 1 m of the image's vehicle; else 0."""
     candidates = _candidates(detector, frames.image.detach())
     centres = (frames.boxes[:, :2] + frames.boxes[:, 2:]) / 2
     candidate_centres = (candidates.boxes[..., :2] + candidates.boxes[..., 2:]) / 2

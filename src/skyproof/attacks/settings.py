@@ -55,10 +55,7 @@ class AttackSettings:
             )
 
     def images(self, name: CamouflageName, best_of: int) -> float:
-        """The images per detector that an attack or a chosen control takes.
-
-        `best_of` is the number of random draws. An image without gradient counts as 0.4.
-        """
+        """Images per detector of an attack or chosen control; one without gradient counts 0.4."""
         if name.has_candidates:
             candidates = best_of if name.choice == "best" else _PLAIN_PAINTS
             return _WITHOUT_GRADIENT * _CHOICE_SCENES * candidates
@@ -67,8 +64,7 @@ class AttackSettings:
     def of_search(self) -> AttackSettings:
         """The settings of a random search: as many images, in steps of more.
 
-        A step along the gradient of few images is right on average, but a search keeps for good
-        what happens to help on few images.
+        A search keeps for good what happens to help on few images.
         """
         images = self.steps * self.batch_size
         batch_size = min(max(self.batch_size, _SEARCH_BATCH_SIZE), images)

@@ -131,8 +131,8 @@ def make_candidates(
 ) -> list[Camouflage]:
     """Makes the candidates of a chosen control.
 
-    "R-Ma_plain" has 27 plain paints under its mask, "R-S-O@0.4_plain" every vertex out under the
-    vehicle's own paint, "R-C-Ma@0.2_plain" both, "R-PixFc_best" the first draws of R-PixFc.
+    R-Ma_plain has 27 paints under its mask, R-S-O@0.4_plain every vertex out under the own paint,
+    R-C-Ma@0.2_plain both, R-PixFc_best the first draws of R-PixFc.
     """
     if name.choice == "best":
         names = [name.base.with_repeat(draw) for draw in range(draws)]

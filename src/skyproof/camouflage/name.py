@@ -284,8 +284,7 @@ class CamouflageName:
     def takes_palette(self) -> bool:
         """Whether its colours come from a palette (Fc), or are optimised from there (Lc, Pix).
 
-        Random controls draw other colours than fixed ones freely. Free colours of single texels
-        start anywhere. A sequential combination takes the texture of another attack.
+        Random controls draw others freely; a sequential shape takes the texture of another attack.
         """
         if self.constraints is None or self.order == "seq":
             return False
@@ -296,10 +295,7 @@ class CamouflageName:
 
     @property
     def control(self) -> CamouflageName:
-        """The random control under the same constraints, without variant and repeat.
-
-        "T-PixMa" to "R-PixMa", "C-Fc-seq@0.2" and "C-Fc-par@0.2" to "R-C-Fc@0.2".
-        """
+        """The random control, "T-PixMa" to "R-PixMa", "C-Fc-seq@0.2" to "R-C-Fc@0.2"."""
         if self.kind == "other":
             rest = self.label.partition("-")[2]
             return CamouflageName.read(f"R-{rest}")
@@ -309,8 +305,7 @@ class CamouflageName:
     def chosen_controls(self) -> tuple[CamouflageName, CamouflageName, CamouflageName]:
         """The controls under its mask that are chosen on other scenes, without a gradient.
 
-        The best plain paint, the best of many random draws, and the result of a random search.
-        "T-PixMa" to "R-Ma_plain", "R-PixMa_best", "R-PixMa_search".
+        As in `CHOICES`: "T-PixMa" to "R-Ma_plain", "R-PixMa_best", "R-PixMa_search".
         """
         random = self.control
         plain = replace(random, constraints=_plain(random.constraints))

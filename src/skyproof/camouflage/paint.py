@@ -30,10 +30,7 @@ TWO_TONES: tuple[tuple[Colour, Colour], ...] = tuple(
 
 
 def plain_paint(colour: Colour, *, masked: bool) -> UniversalTexture:
-    """Returns one colour as a finished texture on painted panels (Ma) or everywhere.
-
-    It is the simplest of all attacks, and the fair control of others under the same mask.
-    """
+    """One colour as a finished texture on painted panels (Ma) or everywhere."""
     srgb = torch.tensor(colour).view(3, 1, 1) / 255
     return _paint(f"plain_{bytes(colour).hex()}", srgb, masked=masked)
 

@@ -33,8 +33,7 @@ class _Palette(msgspec.Struct):
 def fit_palette(pixels: Float[Tensor, "P 3"], colours: int) -> Float[Tensor, "K 3"]:
     """Few colours that stand for many pixels, by K-means in CIELAB (section 5.4), of four starts.
 
-    In CIELAB equal distances look about equally different, so dark ground keeps its colours. They
-    are sRGB in [0, 1], rounded to 8 bits, the most frequent first.
+    They are sRGB in [0, 1], rounded to 8 bits, the most frequent first.
     """
     distinct = len(torch.unique((pixels * 255).round(), dim=0))
     if distinct < colours:

@@ -56,10 +56,9 @@ def score_practicality(texture: TextureConstraints | None, shape_changed: bool) 
 
 @torch.no_grad()
 def practicality_account(camouflage: Camouflage, vehicles: VehicleBatch) -> dict[str, Any]:
-    """Signs and measured quantities of a finished camouflage, means over the vehicles.
+    """Signs and measured means over the vehicles of a camouflage; None for unchanged sides.
 
-    An unchanged side has None. A shape's "share_self_intersecting" is the share of vehicles with
-    more intersections than as built.
+    "share_self_intersecting" is of vehicles with more intersections than as built.
     """
     parts = [camouflage]
     if isinstance(camouflage, Combination):
@@ -92,18 +91,13 @@ def measure_texture(
     mask: Bool[Tensor, "N 512 512"] | None,
     block_px: int | None,
 ) -> list[dict[str, float]]:
-    """Measures a universal texture on each vehicle, in its present shape.
+    """Measures a universal texture (sRGB in [0, 1] or bytes) on each vehicle, in its present shape.
 
-    Args:
-        texture: the map, sRGB in [0, 1] or bytes; colours are compared as bytes.
-        mask: cover on each vehicle; None for everything but the underside.
-        block_px: side of a block of Pix in texels; None without Pix.
-
-    Returns:
-        Per vehicle "painted_area_m2" of the covered texels, their different 8-bit "colours",
-        "boundary_m" of all edges between different colours, and "regions" of one colour, connected
-        across edges. With Pix "blocks" that are covered, and their median size around the body (u)
-        and along it (v), such as "block_roof_u_cm"."""
+    Blocks of Pix have sides of `block_px` texels. Per vehicle "painted_area_m2" of the covered
+    texels, their different 8-bit "colours", "boundary_m" of all edges between them, and "regions"
+    of one colour, connected across edges. With Pix "blocks" that are covered, and their median size
+    around the body (u) and along it (v), such as "block_roof_u_cm".
+    """
     painted = worn_texels(vehicles, mask)
     colour, colours = _numbered_colours(texture)
     same_right = colour == colour.roll(-1, 1)
@@ -140,10 +134,7 @@ def measure_texture(
 
 @torch.no_grad()
 def measure_shape(before: VehicleBatch, after: VehicleBatch) -> list[dict[str, float]]:
-    """Measures every vehicle of a batch as built and deformed, about 50 ms each.
-
-    The displacement is the largest of a vertex; `self_intersections` counts intersections.
-    """
+    """Measures every vehicle as built and deformed; the displacement is the largest of a vertex."""
     faces = before.template.faces
     volume, volume_after = (
         enclosed_volume_m3(batch.vertices, faces).tolist() for batch in (before, after)

@@ -33,9 +33,8 @@ _WIDEST_HUE = 20.0
 def wear_random_controls(fleet: Fleet, *, generator: torch.Generator) -> Fleet:
     """Gives vehicles the patterns and shapes that their sources mark, each its own; no attack.
 
-    A "patterned" coat is the random control of one of twelve textures (section 5.4). Number and
-    width of blocks and colours vary, and fixed colours spread about a random middle. A "random"
-    shape is that of R-S-O, at a magnitude drawn uniformly.
+    A "patterned" coat is the random control of one of twelve textures (section 5.4), a "random"
+    shape that of R-S-O.
     """
     patterned = _rows(fleet, "coat", "patterned")
     shaped = _rows(fleet, "shape", "random")

@@ -73,8 +73,6 @@ class UniversalTexture(Camouflage):
                 f"side, got {blocks}; give for instance 32."
             )
         kind = self.constraints.colours
-        if kind == "fixed" and palette is None:
-            raise ConfigurationError(f"Fixed colours (Fc) expect a palette, got none for {name}.")
         if palette is not None:
             colours = len(palette)
         if kind != "free" and colours < 2:

@@ -137,8 +137,7 @@ def draw_fleets(
 ) -> None:
     """Writes the four fleets train, validation, attack and test; all of them or nothing.
 
-    The settings' paints and shapes are those of train and validation; attack and test have
-    catalogue paints and their own shapes.
+    Attack and test have catalogue paints and their own shapes.
     """
     from skyproof.camouflage.random_controls import wear_random_controls
     from skyproof.randomness import generator_of

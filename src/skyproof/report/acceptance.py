@@ -32,14 +32,10 @@ _REMEDY = "move it away, or report again with --accept and --reject"
 
 @dataclass(frozen=True)
 class Ruling:
-    """The verdict on one detector.
+    """The verdict on one detector, not applicable after a failed or missing precheck.
 
-    Attributes:
-        answer: the verdict; not applicable after a failed or missing precheck.
-        sentences: the answer and its reason.
-        more_vehicles: number of further vehicles that would decide, on tiles like these; 0 if
-            decided, None if no number would or there is no verdict.
-        attacks: evidence by camouflage and renderer, the strongest first.
+    The evidence stands by camouflage and renderer, the strongest attack first. More vehicles, on
+    tiles like these, would decide; 0 if decided, None if no number would or there is no verdict.
     """
 
     detector: str
@@ -71,10 +67,9 @@ def read_requirement(path: Path) -> Requirement | None:
 def rule(results: Results, requirement: Requirement, alarms: Sequence[str]) -> Acceptance:
     """Decides on each detector of a run that did not fail its precheck.
 
-    Attacks are all camouflages of the run on all renderers: those optimised on any detectors and in
-    any weather, query attacks and chosen controls, each repeat by itself. Single random draws and
-    copies of unfinished camouflages are none. With alarms of gradient masking no detector is
-    accepted, because other attacks could hide more.
+    Attacks are all camouflages on all renderers, query attacks and chosen controls, each repeat by
+    itself; single random draws and copies of unfinished camouflages are none. With alarms of
+    gradient masking no detector is accepted, because other attacks could hide more.
     """
     rulings = []
     for name in results.detectors:

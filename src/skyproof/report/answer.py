@@ -18,8 +18,8 @@ _WORTH_SAYING = 0.05
 def answer(rows: Sequence[Result], lenient: Result | None = None) -> list[str]:
     """Gives the results of one camouflage in plain sentences, with their uncertainty.
 
-    The last of the rows by detector is quoted, the mean where there are several; `lenient` is its
-    result by the lenient rule.
+    The last of the rows by detector is quoted, the mean of several; `lenient` is by the lenient
+    rule.
     """
     row = rows[-1]
     several = row.detector == MEAN
@@ -188,10 +188,7 @@ def compare_renderers(results: Results, first: Result, second: Result) -> list[C
 
 
 def survival(first: Result, gross: RendererChange | None, net: RendererChange | None) -> str:
-    """Says whether the second renderer's images hide as many vehicles as the first's.
-
-    `gross` and `net` are the changes of EASR and net EASR, mean over detectors.
-    """
+    """Says by the changes of EASR and net EASR whether the second renderer hides as many."""
     change = net or gross
     if gross is None or change is None or math.isnan(change.difference.estimate):
         return "It cannot be compared with the other renderer, because a success rate is undefined."
@@ -227,5 +224,5 @@ def _difference(
         first=first.renderer,
         second=second.renderer,
     )
-    undefined = change is None or math.isnan(change.difference.estimate)
-    return None if undefined or change is None else change.difference
+    known = change is not None and not math.isnan(change.difference.estimate)
+    return change.difference if change is not None and known else None

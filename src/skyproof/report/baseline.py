@@ -182,13 +182,10 @@ class PrecheckState:
 
 @dataclass(frozen=True)
 class PrecheckPart:
-    """The precheck of a run's detectors.
+    """The precheck of a run's detectors, with its limits as sentences.
 
-    Attributes:
-        notes: limits of the precheck, a sentence each.
-        names: detectors with a precheck.
-        rows: per criterion, the finding of each of them; None where it was not measured.
-        strips: per detector and kind of paint the rates of all paints, with a title.
+    Rows have per criterion the finding of each detector with a precheck, None where it was not
+    measured; strips per detector and kind of paint the rates of all paints, with a title.
     """
 
     states: Sequence[PrecheckState]

@@ -34,13 +34,10 @@ class QueryResult:
 
 @dataclass(frozen=True)
 class QueryPart:
-    """The page's part on query attacks.
+    """The page's part on query attacks; `only` if the detector is a black box.
 
-    Attributes:
-        figure: success against queries.
-        only: whether the detector is a black box.
-        alarms: a sentence for each attack that hides more by queries than by gradients, and by more
-            than another start of either could explain.
+    Each alarm is of an attack that hides more by queries than by gradients, and by more than
+    another start of either could explain.
     """
 
     rows: Sequence[QueryResult]
@@ -48,14 +45,6 @@ class QueryPart:
     only: bool
     alarms: Sequence[str]
     conclusion: str
-
-
-@dataclass(frozen=True)
-class _More:
-    """A query attack that hides more than gradients; it misleads if starts do not explain it."""
-
-    told: str
-    misleads: bool
 
 
 def query_part(results: Results) -> QueryPart | None:
@@ -68,8 +57,8 @@ def query_part(results: Results) -> QueryPart | None:
     curves = [curve for row in rows for curve in _curves(results, row, scored)]
     only = all(row.gradients is None for row in rows)
     more = [found for row in rows if (found := _more(results, row)) is not None]
-    alarms = [found.told for found in more if found.misleads]
-    small = [found.told for found in more if not found.misleads]
+    alarms = [told for told, misleads in more if misleads]
+    small = [told for told, misleads in more if not misleads]
     conclusion = _conclusion(rows, only, alarms, small)
     return QueryPart(rows, Markup(queries_figure(curves)), only, alarms, conclusion)
 
@@ -129,8 +118,8 @@ def _known(curve: Sequence[tuple[int, Interval | None]]) -> list[tuple[int, Inte
     return [(images, rate) for images, rate in curve if rate is not None]
 
 
-def _more(results: Results, row: QueryResult) -> _More | None:
-    """Gives how much more queries hide than gradients; None where that is not significant."""
+def _more(results: Results, row: QueryResult) -> tuple[str, bool] | None:
+    """How much more queries hide than gradients, and whether more than starts explain; or None."""
     if row.gradients is None:
         return None
     more = results.difference(str(row.name.with_variant(QUERIED)), str(row.name))
@@ -144,7 +133,7 @@ def _more(results: Results, row: QueryResult) -> _More | None:
     # Either attack is one run; another start of it would have ended elsewhere.
     of_starts = _QUANTILE * math.sqrt(2) * SEEDS.usual_sd
     reach = math.hypot(more.estimate - more.low, of_starts)
-    return _More(told, misleads=more.estimate > reach)
+    return told, more.estimate > reach
 
 
 def _conclusion(

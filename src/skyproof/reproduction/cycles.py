@@ -39,10 +39,7 @@ _KINDS: Mapping[str, Callable[[str], bool]] = {
 
 
 def cycles_columns(run: Reproduction, name: str) -> dict[str, Any]:
-    """Gives one camouflage's numbers on Cycles and how far its EASR moved, in percent.
-
-    Empty where nothing is on Cycles.
-    """
+    """One camouflage on Cycles and how far its EASR moved, in percent; empty without Cycles."""
     if not run.cycles:
         return {}
     found = rates_under(run.results, CamouflageName.read(name), CYCLES)

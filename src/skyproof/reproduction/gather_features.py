@@ -95,14 +95,9 @@ def gather_features(
 ) -> list[Features]:
     """Gives the features of the first scenes' vehicles, with and without camouflages, and ground.
 
-    Vehicles are looked at where they are, found or not; those out of sight are left out. Ground is
-    looked at in the images without camouflage, in boxes as large as the vehicles', at random places
-    a metre or more from every vehicle; where an image has no room for one, it is left out. A
-    detector that gives no features is passed over.
-
-    Raises:
-        ConfigurationError: the images are larger than a detector looks at whole.
-        StoredFileError: an image is missing or damaged.
+    Vehicles in sight are looked at where they are, found or not. Ground is looked at without
+    camouflage, in boxes as large as the vehicles', at random places a metre or more from every
+    vehicle, as far as there is room. A detector that gives no features is passed over.
     """
     largest = max(max(size) for size in original.sizes_px)
     if largest > LARGEST_WHOLE_PX:
@@ -241,10 +236,7 @@ def pool_boxes(
 
 
 def anchor_levels(anchors: Sequence[Float[Tensor, "_ 4"]]) -> Levels:
-    """Chooses the level whose anchor is most like a box, as RetinaNet's matcher does.
-
-    The anchors are those of each level, pixel xyxy around a common centre.
-    """
+    """Chooses the level with the anchor (pixel xyxy, centred) most like a box, as RetinaNet's."""
 
     def level_of(boxes: Tensor) -> Tensor:
         halves = (boxes[:, 2:] - boxes[:, :2]) / 2

@@ -55,13 +55,7 @@ class HeldOutDetector:
 
 
 def read_held_out(texts: Sequence[str]) -> dict[str, list[HeldOutDetector]]:
-    """Reads `[TABLE=]FOLDER` arguments: by table, detectors of the same training images.
-
-    Raises:
-        ConfigurationError: a table's name cannot name a folder, or its detectors have different
-            training images, the same name, or another resolution.
-        StoredFileError: a folder is no detector folder.
-    """
+    """Reads `[TABLE=]FOLDER` arguments: by table, detectors of the same training images."""
     tables: dict[str, list[HeldOutDetector]] = {}
     for text in texts:
         table, equals, place = text.partition("=")
@@ -111,12 +105,7 @@ def stored_tables(layout: PaperLayout) -> dict[str, tuple[str, ...]]:
 def new_tables(
     layout: PaperLayout, preset: Preset, given: Mapping[str, Sequence[HeldOutDetector]]
 ) -> dict[str, Sequence[HeldOutDetector]]:
-    """Says which tables a run folder does not hold yet.
-
-    Raises:
-        ConfigurationError: a detector is one that the run attacks.
-        RunFolderError: a table of that name holds other detectors.
-    """
+    """Says which tables a run folder does not hold yet; refuses detectors that the run attacks."""
     known = stored_tables(layout)
     folders = [
         reference_folder(name) if name in preset.reference else layout.detector(name)

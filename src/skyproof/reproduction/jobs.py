@@ -22,21 +22,12 @@ _PARALLEL = ("Fc", "PixFc")
 
 @dataclass(frozen=True)
 class AttackJob:
-    """One camouflage that is optimised, or chosen as a control, by detectors.
-
-    Attributes:
-        name: name of the camouflage, with its repeat.
-        settings: settings of the attack.
-        detectors: names of the detectors that are attacked together.
-        texture: name of the finished texture under the shape of a sequential attack.
-        best_of: number of draws of a best-of-N control.
-        conditions: weather and light of its scenes.
-    """
+    """One camouflage that is optimised, or chosen as a control, by detectors attacked together."""
 
     name: CamouflageName
     settings: AttackSettings
     detectors: tuple[str, ...]
-    texture: str | None = None
+    texture: str | None = None  # finished, under the shape of a sequential attack
     best_of: int = BEST_OF
     conditions: tuple[str, ...] = ("clear",)
 
@@ -58,20 +49,14 @@ class Jobs:
     `camouflages/`. Controls come first, because they wait for no attack.
 
     Attributes:
-        attacks: optimised camouflages, by name.
         controls: names of the random draws.
         chosen: plain-paint, best-of-N and search controls, by name.
         shapes: names of random shapes, by the finished attack whose texture they have.
-        featured: camouflages at whose vehicles the detectors' features are stored.
-        looked_at: camouflages whose looks are measured: all textures, and an optimised shape and
-            combination of each kind.
-        batches: everything.
+        looked_at: all textures, and an optimised shape and combination of each kind.
         cycles_batches: random controls and finished attacks on all detectors, as in the paper's
             "Blender" column.
-        weather_batches: random controls, and attacks in clear and in all weathers.
-        held_out_batches: everything but copies, for held-out detectors.
+        held_out_batches: everything but copies.
         repeated: attacks that every further training repeats.
-        repeated_batches: random controls and these attacks.
     """
 
     def __init__(self, preset: Preset) -> None:

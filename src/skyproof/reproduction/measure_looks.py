@@ -108,10 +108,7 @@ def _sample_strips(
     backgrounds: BackgroundSet,
     camouflages: Mapping[str, Callable[[VehicleBatch], VehicleBatch]],
 ) -> Iterator[tuple[str, UInt8[Tensor, "3 H W"]]]:
-    """Draws the same scenes as bare ground, with vehicles as built, and with each camouflage.
-
-    Yields what is shown, and the scenes side by side.
-    """
+    """Draws the same scenes as bare ground, as built, and camouflaged, each with what is shown."""
     side_px = scenes[0].camera.size_px
     yield "ground", _strip([backgrounds.window(scene.background, side_px) for scene in scenes])
     vehicles = placed_vehicles(fleet, scenes)
@@ -125,10 +122,7 @@ def _sample_strips(
 def _sensor_strips(
     scenes: Sequence[Scene], fleet: Fleet, backgrounds: BackgroundSet
 ) -> Iterator[tuple[str, UInt8[Tensor, "3 H W"]]]:
-    """Draws one vehicle of each scene with the renderer's steps towards a photograph (S2.1, S2.2).
-
-    Yields the steps taken, and crops of 48 pixels a side, side by side.
-    """
+    """One vehicle of each scene by the renderer's steps towards a photograph (S2.1, S2.2)."""
     vehicles = placed_vehicles(fleet, scenes)
     for label, settings in _SENSOR_STEPS.items():
         frames = TorchRenderer(backgrounds, settings)(scenes, vehicles)
@@ -155,12 +149,8 @@ def measure_looks(
 ) -> Looks:
     """Measures textures on the vehicles that wear them, each texel by its area there.
 
-    Repeats of a texture are compared with each other, and as many draws of its control. The
-    vehicles are on the template of `make_template`; `progress` is called with (folders done,
-    folders in all).
-
-    Raises:
-        StoredFileError: a folder is damaged.
+    Repeats of a texture are compared with each other, and as many draws of its control.
+    `progress` is called with (folders done, folders in all).
     """
     compared = _compared([folder.name for folder in folders])
     # Where textures are worn depends on their mask alone.
@@ -237,11 +227,7 @@ def _summed(values: Float[Tensor, "*C H W"]) -> Float[Tensor, "*C h w"]:
 def count_colours(
     name: str, colours: UInt8[Tensor, "3 ..."], area: Float[Tensor, ...]
 ) -> TextureLooks:
-    """Counts colours of 8 bits by where they lie in the RGB cube, each by its area.
-
-    Raises:
-        ConfigurationError: there is no area.
-    """
+    """Counts colours of 8 bits by where they lie in the RGB cube, each by its area."""
     bins = colours.flatten(1).long() // (256 // _BINS)
     weights = area.flatten().double()
     whole = float(weights.sum())
@@ -265,10 +251,7 @@ def count_colours(
 def worn_area(
     vehicles: VehicleBatch, mask: Bool[Tensor, "N 512 512"] | None
 ) -> Float[Tensor, "512 512"]:
-    """Gives the square metres of each texel that wear a texture, mean over the vehicles.
-
-    Without a mask a texture is worn everywhere but on the underside.
-    """
+    """Gives the square metres of each texel that wear a texture, mean over the vehicles."""
     worn = worn_texels(vehicles, mask)
     total = torch.zeros(TEXTURE_SIZE, TEXTURE_SIZE)
     # One by one: the maps of a whole fleet take gigabytes.

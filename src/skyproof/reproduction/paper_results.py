@@ -7,20 +7,15 @@ from dataclasses import dataclass
 class PaperResult:
     """One attack in the paper's tables: means over its three synthetic models, in percent.
 
-    Attributes:
-        easr, easr_blender: overall attack success rate on the renderer's own data and on Blender's;
-            None if not given.
-        apd, apd_blender: average precision drop, from the supplement.
-        perturbation_magnitude: PM*, the one that maximises P1; None for attacks on texture alone.
-        commented: the EASR stands only in the comments of the paper's source.
+    EASR and average precision drop (APD, from the supplement), on its own renderer and on Blender.
     """
 
     easr: float
     easr_blender: float | None
     apd: float
     apd_blender: float | None
-    perturbation_magnitude: float | None = None
-    commented: bool = False
+    perturbation_magnitude: float | None = None  # PM*, which maximises P1; None without a shape
+    commented: bool = False  # the EASR stands only in the comments of the paper's source
 
 
 PAPER_RESULTS: dict[str, PaperResult] = {

@@ -22,20 +22,11 @@ _MOST_STEPS = 20_000
 
 
 class Plan:
-    """The steps of a run, in the order in which one process does them.
+    """The steps of a run, in the order in which one process does them, with all their inputs.
 
     A step needs what earlier steps leave in the places that its settings name, beside the inputs
-    that it comes with.
-
-    Attributes:
-        steps: with all their inputs.
-        threads: CPU threads of each step, if steps run side by side.
-        resources: resources on a cluster of each step that computes much: gpu, mem_mb, runtime
-            (minutes).
-
-    Raises:
-        ConfigurationError: there are too many steps.
-        RunFolderError: two steps have one name.
+    that it comes with. Threads are those of each step, if steps run side by side; resources on a
+    cluster (gpu, mem_mb, runtime in minutes) are those of each step that computes much.
     """
 
     def __init__(
@@ -66,8 +57,7 @@ class Plan:
     def waiting(self) -> dict[str, int]:
         """How many steps wait for each, directly or not, by id.
 
-        The step with the most comes first if steps run side by side: nothing else can be done while
-        a detector is trained that all attacks need.
+        The step with the most comes first: all attacks wait while a detector is trained.
         """
         made_by = {output: step.id for step in self.steps for output in step.outputs}
         # One bit for each step that waits.
@@ -98,12 +88,7 @@ def _named(step: Step) -> Iterator[Path]:
 def plan_of_run(device: str = "auto", blender: Path | str | None = None, **others: object) -> Plan:
     """Returns the plan of the run in the current folder, as its `config.json` has it.
 
-    The held-out detectors are those that lie in the folder. Device and Blender may change from call
-    to call.
-
-    Raises:
-        ConfigurationError: a setting is missing, unknown, or cannot be.
-        StoredFileError: there is no `config.json`, or it is damaged.
+    The held-out detectors are those that lie in the folder. Device and Blender may change.
     """
     if others:
         raise ConfigurationError(
@@ -130,15 +115,7 @@ def reproduction_plan(
     blender: Path | None = None,
     held_out: Mapping[str, Sequence[str]] = MappingProxyType({}),
 ) -> Plan:
-    """Returns a preset, expanded to steps.
-
-    Args:
-        preset: settings of the reproduction.
-        folder: the run folder, as the steps are to name it.
-        device: auto, cpu or cuda.
-        blender: Blender that draws the Cycles column; None for a plan without it.
-        held_out: held-out detectors by table.
-    """
+    """Returns a preset, expanded to steps; without Blender there is no Cycles column."""
     layout = PaperLayout(folder)
     jobs = Jobs(preset)
     make = Steps(preset, layout, device)

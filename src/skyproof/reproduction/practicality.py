@@ -33,14 +33,10 @@ def practicality_part(run: Reproduction) -> Topic:
 def _rows(run: Reproduction) -> list[dict[str, Any]]:
     rows = []
     for name, measured in run.results.practicality.items():
-        score = measured.score
-        signs = {"texture": score.texture, "shape": score.shape}
-        quantities = {"texture": measured.texture or {}, "shape": measured.shape or {}}
-        flat = {
-            f"{side}_{what}": value
-            for told in (signs, quantities)
-            for side, values in told.items()
-            for what, value in values.items()
-        }
-        rows.append({"attack": str(name), "practicality": score.total, **flat})
+        row: dict[str, Any] = {"attack": str(name), "practicality": measured.score.total}
+        for told in (measured.score, measured):
+            for side in ("texture", "shape"):
+                values = getattr(told, side) or {}
+                row |= {f"{side}_{what}": value for what, value in values.items()}
+        rows.append(row)
     return rows

@@ -267,11 +267,7 @@ class Preset:
 def read_preset(preset: str) -> tuple[str, Path, dict[str, Any], Preset]:
     """Reads a preset by its name, or by the path of a JSON file of the same form.
 
-    Returns:
-        Its name, its file, its values as the file has them, and the settings.
-
-    Raises:
-        ConfigurationError: neither, or the file is no preset.
+    Returns its name, its file, its values as the file has them, and the settings.
     """
     path = PRESETS.get(preset, Path(preset))
     if not path.is_file():

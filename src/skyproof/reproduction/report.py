@@ -49,12 +49,6 @@ def write_reproduction_report(out: Path) -> None:
     """Writes the report of a run folder with the paper's tables in it, and `tables/` beside it.
 
     Without enough of the paper's attacks it is the report of any run, and there are no tables.
-
-    Raises:
-        StoredFileError: nothing was scored yet, or a file is damaged; names the file.
-        ConfigurationError: the scores do not belong together, or different detectors scored the
-            magnitudes of a shape.
-        RunFolderError: the page or the tables cannot be written, or `tables/` may not be ours.
     """
     results = Results.open(out)
     run = Reproduction(results)

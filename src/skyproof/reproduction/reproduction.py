@@ -22,14 +22,7 @@ _FEWEST = 3
 class Reproduction:
     """Results of a run, with the curves of EASR against practicality that the paper's tables need.
 
-    Attributes:
-        results: what was given.
-        detectors: in the order of the results.
-        cycles: whether anything was scored on Cycles.
-        names: of all camouflages, without repeats.
-        records: by attack with its repeat, what was recorded while it was learnt.
-        layout: the paths of the run folder.
-        held_out: results of held-out detectors by table, as far as they are there.
+    Names are those of all camouflages, without repeats; held-out detectors stand by table.
     """
 
     def __init__(self, results: Results) -> None:
@@ -90,10 +83,7 @@ class Reproduction:
 
 
 def point_name(family: str, magnitude: float) -> str:
-    """Says what stands at one point of a curve; at magnitude 0 it is the texture.
-
-    "S-O@0", the vehicle as it was, is never scored.
-    """
+    """What stands at a point of a curve: at PM 0 the texture, or "S-O@0", which is never scored."""
     if magnitude > 0 or family == "S-O":
         return f"{family}@{magnitude:g}"
     return "T-" + family.split("-")[1]

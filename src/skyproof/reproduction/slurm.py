@@ -38,11 +38,9 @@ def check_slurm() -> None:
 
 
 def wait_for_earlier_jobs(folder: Path) -> None:
-    """Waits until no job of an earlier call works in a run folder.
+    """Waits, a minute at most, until no job of an earlier call works in a run folder.
 
-    Jobs outlive the one who submitted them where that could not cancel them, as when its machine
-    lost power. Snakemake does not know them again: it would write what they write.
-    It waits a minute at most.
+    Jobs outlive a machine that lost power. Snakemake would write what they still write.
     """
     place = os.path.realpath(folder)
     until = time.monotonic() + _PATIENCE_S

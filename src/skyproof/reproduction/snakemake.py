@@ -44,7 +44,6 @@ def shell_line(step: Step, config: Mapping[str, Any]) -> Callable[[object], str]
     """Returns the shell's words for a step in a process of its own, every one quoted.
 
     It is a function, because Snakemake looks for wildcards in text, and a path may have braces.
-    `config` holds the values of `--config`, device and blender.
     """
     words = [sys.executable, "-m", "skyproof.reproduction", "step", step.id]
     line = shlex.join([*words, *(f"--{name}={value}" for name, value in config.items())])
@@ -54,13 +53,9 @@ def shell_line(step: Step, config: Mapping[str, Any]) -> Callable[[object], str]
 def output_of(
     step: Step, directory: Callable[[str], Any], update: Callable[[str], Any]
 ) -> list[Any]:
-    """Returns a step's outputs for Snakemake.
+    """Returns a step's outputs, with Snakemake's marks of a folder and of a file that is kept.
 
-    Args:
-        step: the step.
-        directory: Snakemake's mark of a folder.
-        update: Snakemake's mark of a file that a stopped job is not to lose, because the next try
-            goes on from the files beside it.
+    A stopped job is not to lose such a file: the next try goes on from the files beside it.
     """
     paths = [str(path) for path in step.outputs]
     # The report is renewed: it replaces its own pages alone, and knows them by the old ones.
@@ -81,18 +76,11 @@ def snakemake_words(folder: Path, blender: Path | None, device: str | None = Non
 
 
 def run_side_by_side(plan: Plan, run: Run, command: Sequence[str], cores: int, hold: Hold) -> None:
-    """Runs Snakemake on a plan, and prints a line per finished step.
+    """Runs Snakemake on a plan, and prints a line per finished step; `cores` run side by side.
 
-    Args:
-        plan: the plan that the Snakefile reads, too.
-        run: the run folder.
-        command: Snakemake's words with its executor, which no profile of the user's decides.
-        cores: how many steps run side by side, for the time left.
-        hold: the run folder's lock, which Snakemake holds as long as it lives. It ends with this
-            process, however that ends (`skyproof.reproduction.watched`).
-
-    Raises:
-        RunFolderError: a step failed; names its log.
+    Snakemake holds the run folder's lock as long as it lives. It ends with this process, however
+    that ends (`skyproof.reproduction.watched`). The command names its executor, which no profile
+    of the user's decides.
     """
     place = run.folder / "snakemake.log"
     known = {step.id for step in plan.steps}
@@ -202,10 +190,8 @@ def _failure(folder: Path, text: str) -> str:
 def failed_job(text: str) -> tuple[list[str], str] | None:
     """Finds the first step that Snakemake's own log calls failed; None for none.
 
-    Returns:
-        Files of what it printed, its own first, relative to the run folder, or whole; none where a
-        cluster refused the step, because then an earlier try wrote them. And what the cluster says
-        beside that it failed: why it refused the step, or a status such as TIMEOUT.
+    Gives the files of what it printed, its own first; none where a cluster refused it, because then
+    an earlier try wrote them. And what the cluster says, such as TIMEOUT.
     """
     match = _FAILED.search(text)
     if match is None:

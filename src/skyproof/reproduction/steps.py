@@ -7,7 +7,17 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from skyproof.assessment.run import START_S, Step
+from skyproof.assessment.run import (
+    ATTACK_S,
+    CONTROL_S,
+    DETECT_S,
+    GROUND_S,
+    RENDER_S,
+    START_S,
+    VEHICLE_S,
+    Step,
+    precheck_images,
+)
 from skyproof.attacks.settings import AttackSettings
 from skyproof.camouflage.name import CamouflageName
 from skyproof.cli.attack import Attack
@@ -27,27 +37,13 @@ from skyproof.reproduction.layout import PaperLayout
 from skyproof.reproduction.preset import MOST_SCENES, Preset, Rendered
 from skyproof.scenes.splits import Split
 
-# Seconds on one core for a million pixels (before one detector), for a vehicle, or for a
-# camouflage; for the time left alone.
-_GROUND_S = 2.6
-_VEHICLE_S = 0.08
-_RENDER_S = {"torch": 3.2, "cycles": 30.0}
 _TRAIN_S = 2.0
-_ATTACK_S = 4.0
-_DETECT_S = 3.0
-_CONTROL_S = _LOOK_S = 0.1
-_PRECHECK_CHANGES = 62
-"""Changes that a precheck tries on every scene, but for random controls."""
-_PRECHECK_CONTROLS = 6
+"""Estimated seconds on one core for a million pixels."""
 _TORCH = Rendering()
 
 
 def command_step(kind: str, name: str, command: Any, *outputs: Path, **more: Any) -> Step:
-    """Returns a step that one command does; its output is the command's `out` if not said.
-
-    Raises:
-        ConfigurationError: a setting is out of its range, which shows before anything is made.
-    """
+    """Returns a step that one command does; its output is the command's `out` if not said."""
     check_ranges(command)
     return Step(kind, name, outputs or (command.out,), command.run, command, **more)
 
@@ -71,14 +67,7 @@ def _later(module: str, function: str, **arguments: Any) -> None:
 
 
 class Steps:
-    """Makes the steps of a preset in a run folder.
-
-    Args:
-        preset: settings of the reproduction.
-        run: paths of the run folder, as the steps are to name them.
-        device: auto, cpu or cuda.
-        training: number of the training whose detectors are attacked; 0 for the run's own.
-    """
+    """Makes a preset's steps in a run folder, for a further training or for the run's own (0)."""
 
     def __init__(self, preset: Preset, run: PaperLayout, device: str, training: int = 0) -> None:
         self._preset = preset
@@ -104,7 +93,7 @@ class Steps:
             seed=self._preset.seed,
             tiling=tiling,
         )
-        effort_s = START_S + _GROUND_S * sum(sizes.tiles) * tiling.size_px**2 / 1e6
+        effort_s = START_S + GROUND_S * sum(sizes.tiles) * tiling.size_px**2 / 1e6
         return command_step("ground", "ground", command, effort_s=effort_s)
 
     def fleets(self) -> Step:
@@ -117,7 +106,7 @@ class Steps:
             paints=sizes.paints,
             shapes=sizes.shapes,
         )
-        effort_s = START_S + _VEHICLE_S * sum(sizes.vehicles)
+        effort_s = START_S + VEHICLE_S * sum(sizes.vehicles)
         return command_step("vehicles", "fleets", command, effort_s=effort_s)
 
     def scenes(self, split: Rendered) -> Step:
@@ -146,7 +135,7 @@ class Steps:
             out=run.dataset(name),
             device=self._device,
         )
-        effort_s = self._effort_s(_RENDER_S[rendering.renderer], self._count(split))
+        effort_s = self._effort_s(RENDER_S[rendering.renderer], self._count(split))
         extra = rendering.renderer == "cycles"
         return command_step("render", name, command, extra=extra, effort_s=effort_s)
 
@@ -182,8 +171,8 @@ class Steps:
             seed=preset.seed,
             device=self._device,
         )
-        images = scenes * (1 + _PRECHECK_CHANGES + _PRECHECK_CONTROLS * preset.draws)
-        effort_s = self._effort_s(_RENDER_S["torch"] + _DETECT_S * len(names), images)
+        images = precheck_images(scenes, preset.draws)
+        effort_s = self._effort_s(RENDER_S["torch"] + DETECT_S * len(names), images)
         outputs = map(own.precheck, names)
         return command_step("check", "detectors", command, *outputs, effort_s=effort_s)
 
@@ -207,7 +196,7 @@ class Steps:
         images = job.settings.images(job.name, job.best_of) * len(job.detectors)
         megapixels = images * self._preset.attack_image_px**2 / 1e6
         kind = "choose" if job.name.choice else "attack"
-        return self._camouflages(kind, name, command, _ATTACK_S * megapixels)
+        return self._camouflages(kind, name, command, ATTACK_S * megapixels)
 
     def controls(self, names: Sequence[str], texture: str | None = None) -> Step:
         """Draws random controls, or random shapes on the texture of a finished camouflage."""
@@ -219,7 +208,7 @@ class Steps:
             settings=AttackSettings(seed=self._preset.seed),
         )
         name = f"shapes-{texture}" if texture else "random"
-        return self._camouflages("control", name, command, _CONTROL_S * len(names))
+        return self._camouflages("control", name, command, CONTROL_S * len(names))
 
     def _camouflages(self, kind: str, name: str, command: Attack, work_s: float) -> Step:
         outputs = [command.out / each / "camouflage.json" for each in command.names]
@@ -240,10 +229,7 @@ class Steps:
     ) -> Step:
         """Scores camouflages, given by their folders relative to `camouflages/`.
 
-        Args:
-            name: name of the score folder, and of the step after the `prefix`.
-            out: run folder whose `scores/` gets the score folder.
-            empty: whether false alarms are also counted on ground without vehicles.
+        `out` is the run folder whose `scores/` gets them; `empty` counts alarms on bare ground.
         """
         run = self._run
         grounds = (run.dataset("empty"),) if empty else ()
@@ -259,7 +245,7 @@ class Steps:
             seed=self._preset.seed,
             device=self._device,
         )
-        each_s = _RENDER_S[rendering.renderer] + _DETECT_S * len(detectors)
+        each_s = RENDER_S[rendering.renderer] + DETECT_S * len(detectors)
         return command_step(
             "score",
             f"{prefix}{name}",
@@ -272,14 +258,9 @@ class Steps:
     def looks(self, names: Sequence[str]) -> Step:
         """Measures what camouflages look like."""
         settings = {"out": self._run.looks, **self._on_test_scenes(names)}
-        effort_s = 2 * START_S + _LOOK_S * len(names)
-        return _function_step(
-            "looks",
-            "looks",
-            partial(_later, "measure_looks", "write_looks"),
-            settings,
-            effort_s=effort_s,
-        )
+        effort_s = 2 * START_S + CONTROL_S * len(names)
+        function = partial(_later, "measure_looks", "write_looks")
+        return _function_step("looks", "looks", function, settings, effort_s=effort_s)
 
     def features(self, names: Sequence[str]) -> Step:
         """Stores the attacked detectors' features."""
@@ -291,7 +272,7 @@ class Steps:
         }
         function = partial(_later, "gather_features", "store_features", device=self._device)
         images = min(self._sizes.test_images, MOST_SCENES) * len(names)
-        effort_s = self._effort_s(_RENDER_S["torch"], images)
+        effort_s = self._effort_s(RENDER_S["torch"], images)
         return _function_step("features", "features", function, settings, effort_s=effort_s)
 
     def report(self, scores: Sequence[Step], checked: Sequence[str]) -> Step:

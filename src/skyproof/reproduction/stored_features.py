@@ -36,12 +36,8 @@ _HINTS = {**dict.fromkeys(_NAMES, Name), "placement": WholeNumber}
 class Features:
     """The features of one detector at vehicles with one camouflage, without one, or of the ground.
 
-    Attributes:
-        shown: the camouflage's name, "original" or `GROUND`.
-        scenes, backgrounds: per row the scene's id and its background tile.
-        placements: per row the vehicle's index in `Scene.placements`; of ground, that of the
-            vehicle as large as the box.
-        vectors: per row the features.
+    Shown is the camouflage's name, "original" or `GROUND`. Every row has a vector, and a vehicle by
+    its index in `Scene.placements`; of ground, that of the vehicle as large as the box.
     """
 
     detector: str
@@ -64,12 +60,7 @@ def write_features(path: Path, every: Iterable[Features]) -> None:
 
 
 def read_features(path: Path) -> list[Features]:
-    """Reads what `write_features` wrote, by detector and by what is shown.
-
-    Raises:
-        StoredFileError: the file is missing, not Parquet, or has other columns, values that cannot
-            be, or vectors of different lengths of one detector.
-    """
+    """Reads what `write_features` wrote, by detector and by what is shown."""
     table = read_table(path, _SCHEMA, _HINTS)
     rows = defaultdict(list)
     lengths = defaultdict(set)

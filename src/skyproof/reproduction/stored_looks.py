@@ -70,11 +70,7 @@ class Looks(Struct, frozen=True, omit_defaults=True):
 
 
 def read_looks(folder: Path) -> Looks | None:
-    """Reads the looks of camouflages; None if they were not measured.
-
-    Raises:
-        StoredFileError: `looks.json` is damaged.
-    """
+    """Reads the looks of camouflages; None if they were not measured."""
     path = folder / "looks.json"
     if not path.exists():
         return None

@@ -69,14 +69,10 @@ class _Recipe(Struct, frozen=True):
 
 @dataclass(frozen=True)
 class _Training:
-    """Detectors of one training, and what the attacks on them came to.
+    """Detectors of one training by name, and what the attacks on them came to.
 
-    Attributes:
-        number: 0 of the run's own, of which all its other results are; else the folder's in
-            `trainings/`.
-        cells: tiles and vehicles in sight.
-        counts: by camouflage and detector, outcomes as in `OutcomeCounts`.
-        cards: by name, what is recorded of the detectors.
+    Number 0 is the run's own, of which all its other results are. Outcomes are as in
+    `OutcomeCounts`, by camouflage and detector.
     """
 
     number: int
@@ -98,10 +94,7 @@ class _Training:
 
 
 def trainings_part(run: Reproduction) -> Topic:
-    """Gives EASR and net EASR of every attack that was learnt on every training.
-
-    One row per detector, and one for their mean. Nothing is said of a run with one training.
-    """
+    """Gives EASR and net EASR by detector of attacks on every training; nothing of one training."""
     trainings = read_trainings(run.results)
     if len(trainings) < 2:
         return Topic()
@@ -199,8 +192,7 @@ class _Trainings:
     def _group(self, camouflages: Sequence[str], detectors: Sequence[str]) -> Group:
         """Gathers series by training, repeat and detector.
 
-        Draws are the same for all trainings. Seeds are each training's own: how far trainings lie
-        apart has them in it, and they are not counted again.
+        Draws are the same for all trainings; seeds are in how far trainings lie apart.
         """
         stack = []
         repeats: list[list[Repeat]] = []
@@ -294,12 +286,7 @@ def _standing(trainings: Sequence[_Training]) -> str:
 
 
 def read_trainings(results: Results) -> list[_Training]:
-    """Gives the run's own training and, after it, the further ones that were scored.
-
-    Raises:
-        ConfigurationError: two trainings differ in data, recipe or test vehicles, or are the same.
-        StoredFileError: a file is damaged.
-    """
+    """Gives the run's own training and, after it, the further ones that were scored."""
     layout = PaperLayout(results.folder)
     names = [path.name for path in layout.trainings.glob("*") if path.name.isdecimal()]
     own = _Training.of(0, results.counts, results.cards)

@@ -45,10 +45,6 @@ def transfer_rows(
 
     The attacked detectors stand by camouflage, with or without repeat. Of "T-U" and its variants
     "T-U_on_..." and "T-U_without_..." each has a row, single detectors first, then larger sets.
-
-    Raises:
-        ConfigurationError: unknown attacked detectors, repeats that attacked different ones, or a
-            detector that has not scored all.
     """
     of_row: dict[CamouflageName, tuple[str, ...]] = {}
     for name, detectors in attacked.items():

@@ -18,11 +18,7 @@ _PATIENCE_S = 30.0
 
 
 def watch(read_end: int, lock: int, words: list[str]) -> int:
-    """Runs a program until it ends, or until nobody holds the pipe's other end.
-
-    Returns:
-        The program's exit code.
-    """
+    """Runs a program until it ends or nobody holds the pipe's other end; returns its exit code."""
     ended: list[int] = []
 
     def end(number: int, frame: FrameType | None) -> None:
