@@ -30,7 +30,7 @@ from skyproof.errors import ConfigurationError
 from skyproof.layout import Layout
 from skyproof.reproduction.plan import reproduction_plan
 from skyproof.reproduction.preset import Preset
-from skyproof.results.precheck import findings, read_precheck, verdict
+from skyproof.results.precheck import findings, read_precheck, worst
 from skyproof.results.stored import read_environment
 from skyproof.storage import write_tensors
 from skyproof.words import detector_name, percent
@@ -168,7 +168,7 @@ def _row(folder: Path, change: tuple[float, int, int]) -> str:
         detector_name(card.name),
         percent(card.validation["ap_centre_1m"], 1),
         f"{card.threshold:.3f}",
-        verdict(findings(read_precheck(folder))),
+        worst(findings(read_precheck(folder))).outcome,
         f"{moved:.4f}",
         f"{changed} of {vehicles}",
     ]

@@ -23,7 +23,6 @@ from skyproof.results.precheck import (
     findings,
     read_precheck,
     read_prechecks,
-    verdict,
     worst,
     write_precheck,
 )
@@ -102,7 +101,7 @@ def test_a_detector_that_finds_everything_passes(records):
     (check,) = record.sets
     assert (check.ap_centre_1m.estimate, check.recall.estimate, check.vehicles) == (1, 1, 6)
     assert check.recall.low < 0.5  # three tiles say little
-    assert verdict(findings(record)) == "passed"
+    assert worst(findings(record)).outcome == "passed"
 
 
 def test_blindness_to_yellow_fails_by_exactly_the_yellow_paints(records):
@@ -114,7 +113,7 @@ def test_blindness_to_yellow_fails_by_exactly_the_yellow_paints(records):
     for kind in ("blur", "control", "sun"):
         assert {r.easr.estimate for r in record.of_kind(kind)} == {0.0}
     found = findings(record)
-    assert verdict(found) == "failed"
+    assert worst(found).outcome == "failed"
     assert {each.criterion for each in found if each.outcome == "failed"} == {
         "plain paints on body panels",
         "plain paints on the whole vehicle",

@@ -11,7 +11,6 @@ from skyproof.results.precheck import (
     findings,
     misfit_thresholds,
     rate_outcome,
-    verdict,
     worst,
 )
 from skyproof.results.score_folder import Baseline, BestF1
@@ -63,7 +62,7 @@ NAN = float("nan")
 )
 def test_a_change_fails_where_its_whole_interval_lies_beyond(easr, outcome):
     assert rate_outcome(rate(*easr)) == outcome
-    assert verdict(findings(record(rate(*easr)))) == outcome
+    assert worst(findings(record(rate(*easr)))).outcome == outcome
 
 
 @pytest.mark.parametrize(

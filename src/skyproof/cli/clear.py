@@ -81,10 +81,10 @@ class Clear:
 
 def failed_precheck(folder: Path) -> bool:
     """Whether a detector failed its precheck; one without a precheck did not."""
-    from skyproof.results.precheck import PRECHECK_FILE, findings, read_precheck, verdict
+    from skyproof.results.precheck import PRECHECK_FILE, findings, read_precheck, worst
 
     precheck = folder / PRECHECK_FILE
-    return precheck.is_file() and verdict(findings(read_precheck(folder))) == "failed"
+    return precheck.is_file() and worst(findings(read_precheck(folder))).outcome == "failed"
 
 
 def clear_tiles(

@@ -86,13 +86,11 @@ class Blueprint:
     Attributes:
         kind: "torchvision" or "ultralytics".
         architecture: torchvision's name of it, or the content of Ultralytics' YAML.
-        classes: class names of the checkpoint in their order; "0", "1", ... for torchvision, which
-            stores none.
+        classes: class names in their order; "0", "1", ... for torchvision, which stores none.
         vehicle_classes: positions of the classes that are vehicles.
-        image_scale: network pixels per image pixel; 1 if the network takes the images as they are.
+        image_scale: network pixels per image pixel.
         norm_eps: epsilon of the backbone's batch norm, if torchvision's published weights use
             another one than its layers; else None.
-        checkpoint, checkpoint_sha256: name and digest of the source file.
     """
 
     kind: str
@@ -122,11 +120,7 @@ class Blueprint:
 
 
 def check_layers(architecture: Any) -> None:
-    """Refuses an architecture that names anything but plain layers and a detection head.
-
-    It is the content of an Ultralytics YAML file: "backbone" and "head" with rows [from, count,
-    layer, arguments].
-    """
+    """Refuses a content of an Ultralytics YAML file but plain layers and a detection head."""
     try:
         read = msgspec.convert(architecture, _Architecture)
     except (msgspec.ValidationError, RecursionError) as error:

@@ -57,11 +57,8 @@ class DetectorCard:
         gsd_m: metres per pixel of its input images.
         image_size_px: height and width of the first training image, at most those of a training
             window; those of the first validation image for an imported detector.
-        training: settings and progress, as `train` writes them; empty for an imported one.
         validation: "ap_centre_1m", "ap_iou_50" and "f1" (centre), each 0 to 1.
-        trained_on: short description of the training images; empty if not known.
         threshold_from: source of the threshold, if it was frozen anew.
-        brought: blueprint of an imported detector; else None.
         weights_sha256: digest of the stored weights; empty before, and for a black-box detector.
     """
 

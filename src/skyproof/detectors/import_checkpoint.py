@@ -42,16 +42,11 @@ _Plan = tuple[str | dict[str, Any], list[str], list[int], float | None]
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A checkpoint file, and the facts needed to read it.
+    """A checkpoint file, of which no code runs, and the facts needed to read it.
 
-    Attributes:
-        path: `.pt` or `.pth` of `torch.save`, or `.safetensors`; no code in it runs.
-        kind: "torchvision" or "ultralytics".
-        vehicle_classes: names of the vehicle classes for Ultralytics, label numbers for torchvision
-            (COCO: 3 car, 6 bus, 8 truck).
-        architecture: torchvision's name of the architecture, such as "retinanet_resnet50_fpn".
-        gsd_m: metres per pixel that the detector was made for; None is the resolution of the
-            images.
+    The kind is "torchvision" or "ultralytics". Vehicle classes are names for Ultralytics, label
+    numbers for torchvision (COCO: 3 car, 6 bus, 8 truck), whose name of the architecture is needed.
+    `gsd_m` is what the detector was made for, None for the resolution of the images.
     """
 
     path: Path
@@ -127,7 +122,7 @@ def read_blueprint(checkpoint: Checkpoint, scale: float) -> tuple[Blueprint, dic
 
     `scale` is the number of its pixels per pixel of the images.
     """
-    read = {"torchvision": _torchvision, "ultralytics": _ultralytics}.get(checkpoint.kind)
+    read = {"torchvision": _torchvision, "ultralytics": read_ultralytics}.get(checkpoint.kind)
     if read is None:
         raise ConfigurationError(
             f"a checkpoint is of torchvision or of ultralytics, not of {checkpoint.kind!r}."
@@ -146,9 +141,9 @@ def read_blueprint(checkpoint: Checkpoint, scale: float) -> tuple[Blueprint, dic
         )
     digest = file_digest(checkpoint.path)
     architecture, classes, vehicles, eps = read(checkpoint, network, state, digest)
-    name = checkpoint.path.name
-    kind = checkpoint.kind
-    return Blueprint(kind, architecture, classes, vehicles, scale, eps, name, digest), state
+    source = (checkpoint.path.name, digest)
+    plan = Blueprint(checkpoint.kind, architecture, classes, vehicles, scale, eps, *source)
+    return plan, state
 
 
 def _torchvision(
@@ -176,16 +171,6 @@ def _torchvision(
     return checkpoint.architecture, [*map(str, range(count))], numbers, 0.0 if same else None
 
 
-def _ultralytics(
-    checkpoint: Checkpoint, network: Any, state: dict[str, Tensor], digest: str
-) -> _Plan:
-    if checkpoint.architecture is not None:
-        raise ConfigurationError(
-            "an Ultralytics checkpoint holds its architecture; leave --architecture out."
-        )
-    return *read_ultralytics(checkpoint.path, network, state, checkpoint.vehicle_classes), None
-
-
 def _load(detector: ImportedDetector, state: dict[str, Tensor], checkpoint: Checkpoint) -> None:
     model = detector.network.model
     wanted = model.state_dict()
@@ -211,12 +196,17 @@ def _load(detector: ImportedDetector, state: dict[str, Tensor], checkpoint: Chec
 
 
 def read_ultralytics(
-    path: Path, network: Any, state: dict[str, Tensor], vehicle_classes: Sequence[str]
-) -> tuple[dict[str, Any], list[str], list[int]]:
-    """Reads architecture, classes and vehicle classes of the network that `network_of` found.
+    checkpoint: Checkpoint, network: Any, state: dict[str, Tensor], digest: str
+) -> _Plan:
+    """Reads the network that `network_of` found.
 
     `state` loses the anchors of 2020, which become a part of the architecture.
     """
+    if checkpoint.architecture is not None:
+        raise ConfigurationError(
+            "an Ultralytics checkpoint holds its architecture; leave --architecture out."
+        )
+    path = checkpoint.path
     origin = network.origin if isinstance(network, StandIn) else "a state dict"
     if origin not in (*_NETWORKS, *_ANCHOR_NETWORKS):
         raise StoredFileError(
@@ -224,8 +214,8 @@ def read_ultralytics(
             "YOLO11 or later); give a checkpoint that was trained to find boxes."
         )
     classes = _class_names(path, vars(network).get("names"))
-    missing = [name for name in vehicle_classes if name not in classes]
-    if missing or not vehicle_classes:
+    missing = [name for name in checkpoint.vehicle_classes if name not in classes]
+    if missing or not checkpoint.vehicle_classes:
         raise ConfigurationError(
             f"--vehicle-classes expects names out of {', '.join(classes)}; got "
             f"{', '.join(missing) or 'none'}."
@@ -241,7 +231,7 @@ def read_ultralytics(
         architecture = plain_architecture(plain)
     except ConfigurationError as error:
         raise ConfigurationError(f"{path} cannot be imported: {error}") from error
-    return architecture, classes, [classes.index(name) for name in vehicle_classes]
+    return architecture, classes, [*map(classes.index, checkpoint.vehicle_classes)], None
 
 
 def _class_names(path: Path, names: Any) -> list[str]:

@@ -39,10 +39,6 @@ def detect_by_each(detectors: Sequence[Detector], dataset: Dataset) -> list[list
     is split into windows of 384 px that overlap by at least 96 px; the window whose core holds a
     detection's centre keeps it, and duplicates at the seams are suppressed. So neither memory nor a
     detector's largest number of detections limits the result on a large image.
-
-    Raises:
-        StoredFileError, ImageryError: an image is missing or damaged.
-        DetectorAnswerError: a black-box detector failed, or its answer is impossible.
     """
     sizes = dataset.sizes_px
     results: list[list[Detections]] = [[] for _ in detectors]

@@ -30,6 +30,14 @@ def build_detector(name: str, size: str, *, generator: torch.Generator) -> Train
 
     `size` is "slim" (about 1 to 2.5 M parameters, for a CPU) or "full" (9 to 43 M, for a GPU).
     """
+    if name not in DETECTOR_NAMES:
+        raise ConfigurationError(
+            f"{name[:100]!r} is no detector; choose from {', '.join(DETECTOR_NAMES)}."
+        )
+    if size not in SIZES:
+        raise ConfigurationError(
+            f"expected a detector size out of {', '.join(SIZES)}, got {size[:100]!r}."
+        )
     seed = int(torch.randint(2**62, (1,), generator=generator))
     # The libraries draw initial weights from torch's global generator: it is lent a seed here and
     # gets its state back.
@@ -44,10 +52,6 @@ def build_detector(name: str, size: str, *, generator: torch.Generator) -> Train
             from skyproof.detectors.anchor_detector import AnchorDetector, trainable_architecture
 
             return AnchorDetector(trainable_architecture(size), [0], size)
-        if name not in DETECTOR_NAMES:
-            raise ConfigurationError(
-                f"{name[:100]!r} is no detector; choose from {', '.join(DETECTOR_NAMES)}."
-            )
         from skyproof.detectors.torchvision_detectors import FasterRcnnDetector, RetinaNetDetector
 
         return RetinaNetDetector(size) if name == "retinanet" else FasterRcnnDetector(size)
@@ -61,10 +65,7 @@ def save_detector(folder: Path, detector: TrainableDetector, card: DetectorCard)
 
 
 def copy_detector(folder: Path, out: Path, also: Sequence[str] = ()) -> None:
-    """Copies the files of a detector, and those of `also` that exist, into a `finished_folder`.
-
-    A file that is a link out of the folder is refused.
-    """
+    """Copies a detector's files, and those of `also` that exist; refuses links out of it."""
     for name in ("weights.safetensors", *also, "detector.json"):
         file = inside(folder, name, folder)
         if file.is_file():

@@ -42,15 +42,10 @@ class MatchTable:
 
     It leaves out detections in ignore regions, and vehicles out of sight, whose box has no area.
 
-    Attributes:
-        images: number of images.
-        scores: scores of the detections that count, best first; equal ones keep their order.
-        hits: whether each of them found a vehicle.
-        image_of_detection: image of each of them.
-        image_of_vehicle: image of each vehicle, rising.
-        index_of_vehicle: its index among the boxes of its image.
-        score_of_vehicle: score of the detection that found it at any threshold; 0 for none.
-        distance_of_vehicle_m: metres between the centres of vehicle and detection; nan for none.
+    The detections that count come best first (equal ones keep their order), and hits found a
+    vehicle. Vehicles come image by image, each with its index among the boxes of its image, the
+    score of the detection that found it at any threshold (0 for none), and the metres between the
+    centres of both (nan for none).
     """
 
     images: int
@@ -90,10 +85,7 @@ class MatchTable:
 def match_images(
     detections: Sequence[Detections], labelled: Dataset, *, criterion: Criterion
 ) -> MatchTable:
-    """Matches the detections in every image of a set with its vehicles, as `match_detections`.
-
-    Only boxes, ignore regions and `gsd_m` of `labelled` are read.
-    """
+    """Matches a set as `match_detections`; of `labelled` no pixels are read."""
     if len(detections) != len(labelled):
         raise ConfigurationError(
             f"Got detections for {len(detections)} images but labels for {len(labelled)}."

@@ -7,21 +7,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict, get_args, 
 from msgspec import Meta
 from tyro.conf import Suppress
 
-from skyproof.errors import ConfigurationError
 from skyproof.ranges import Count, Fraction, check_ranges
 
 # Sizes of our own networks, for CPU and GPU.
 Size = Literal["slim", "full"]
 SIZES: tuple[Size, ...] = get_args(Size)
 DETECTOR_NAMES = ("retinanet", "faster_rcnn", "yolov5", "yolov5_anchors")
-
-
-def check_size(size: str) -> None:
-    """Refuses a size that none of our networks has."""
-    if size not in SIZES:
-        raise ConfigurationError(
-            f"expected a detector size out of {', '.join(SIZES)}, got {size[:100]!r}."
-        )
 
 
 @dataclass(frozen=True)

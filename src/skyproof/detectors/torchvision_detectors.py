@@ -35,7 +35,6 @@ from skyproof.detectors.detector import (
     pad_to_stride,
 )
 from skyproof.detectors.region_align import CentreAlign
-from skyproof.detectors.settings import check_size
 
 # Bounding boxes of a 36x15 px vehicle: 36x15 along an axis (side ratio 2.4), 36x36 across the
 # diagonal.
@@ -279,7 +278,6 @@ def _cost_of_the_sure(objectness: Tensor, logits: Tensor) -> Tensor:
 
 
 def _build_retinanet(size: str) -> RetinaNet:
-    check_size(size)
     if size == "full":
         model = retinanet_resnet50_fpn_v2(weights=None, weights_backbone=None, num_classes=1)
         thirds = tuple(tuple(side * 2 ** (step / 3) for step in range(3)) for side in FULL_SIDES_PX)
@@ -300,7 +298,6 @@ def _build_retinanet(size: str) -> RetinaNet:
 
 
 def _build_faster_rcnn(size: str) -> FasterRCNN:
-    check_size(size)
     limits = {
         f"rpn_{stage}_nms_top_n_{mode}": times * PROPOSALS[size]
         for mode in ("train", "test")

@@ -47,15 +47,9 @@ def train(
     checkpoint with the same order of images and the same augmentation; on a CPU with the same
     number of threads the result equals that of an uninterrupted training bit for bit.
 
-    Args:
-        detector: fresh from `build_detector`, on the device to train on.
-        training: images of any sizes, with or without vehicles; see `training_batch`.
-        validation: images that choose the best weights (centre AP, then F1) and freeze the
-            threshold.
-        folder: gets `weights.safetensors`, `detector.json`, `steps.jsonl`; `checkpoint.safetensors`
-            until finished.
-        generator: source of one number, the seed of order and augmentation.
-        on_step: called with each row of `steps.jsonl`, for progress display.
+    The detector is fresh from `build_detector`, on the device to train on. Validation chooses the
+    best weights (centre AP, then F1) and freezes the threshold. The generator gives one number, the
+    seed of order and augmentation (`training_batch`). `on_step` gets each row of `steps.jsonl`.
 
     Raises:
         ConfigurationError: no training image, or no vehicle to validate with.

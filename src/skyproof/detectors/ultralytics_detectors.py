@@ -34,7 +34,6 @@ from skyproof.detectors.detector import (
     check_targets,
     pad_to_stride,
 )
-from skyproof.detectors.settings import check_size
 from skyproof.errors import ConfigurationError
 
 # Layer widths in Ultralytics' YAML file: its YOLOv5n, one between, and its YOLOv5s.
@@ -172,7 +171,6 @@ class YoloNetwork(YoloDetector):
 
 def yolov5_architecture(size: str) -> dict[str, Any]:
     """Gives Ultralytics' YOLOv5n with the layer width of a size."""
-    check_size(size)
     with _quiet_import():
         from ultralytics.nn.tasks import yaml_model_load
 

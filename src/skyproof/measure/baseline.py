@@ -27,6 +27,7 @@ from skyproof.results.statistics.intervals import (
     cluster_interval,
     false_alarms_per_km2,
     resample,
+    share_of,
 )
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.seeds import numpy_generator
@@ -36,11 +37,8 @@ from skyproof.seeds import numpy_generator
 class BaselineSet:
     """Images without camouflage, at the detectors' resolution.
 
-    Attributes:
-        name: name in the report.
-        real: whether a camera took them.
-        note: source and processing.
-        places: place of each image, as the bootstrap's clusters; empty if not known.
+    A camera took `real` ones. Places, one per image, are the bootstrap's clusters; empty if not
+    known.
     """
 
     name: str
@@ -124,9 +122,7 @@ def _threshold_intervals(
 
     def share(of: int) -> Interval:
         def rate(sums: np.ndarray) -> np.ndarray:
-            below = sums[..., 0, of].astype(np.float64)
-            undefined = np.full_like(below, np.nan)
-            return np.divide(sums[..., 0, 0], below, out=undefined, where=below > 0)
+            return share_of(sums[..., 0, 0], sums[..., 0, of])
 
         return cluster_interval(counts, rate, weights, limits=(0.0, 1.0))
 
@@ -143,9 +139,8 @@ def ap_interval(
     """Average precision with its 95 % interval, as fractions.
 
     Images of one place share ground, light and often the very vehicles, so places (`clusters`, one
-    per image) are resampled, not images. Limits are those of all our rates (`bootstrap_interval`),
-    so that with two or three places they are honest and wide. They are nan with fewer than two
-    clusters, all three without a vehicle.
+    per image) are resampled, not images. Limits are nan with fewer than two clusters, all three
+    without a vehicle.
     """
     cluster_of_image = _numbers(clusters)
     count = len(set(clusters))

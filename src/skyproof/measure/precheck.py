@@ -36,7 +36,7 @@ from skyproof.results.precheck import (
     findings,
     misfit_thresholds,
     rate_words,
-    verdict,
+    worst,
 )
 from skyproof.results.result import MAIN_MATCH
 from skyproof.results.score_folder import Baseline
@@ -65,14 +65,10 @@ _INDENT = 48
 
 @dataclass(frozen=True)
 class PrecheckScenes:
-    """What detectors are prechecked on.
+    """What detectors are prechecked on: scenes, and annotated frames for further baselines.
 
-    Attributes:
-        backgrounds: ground of the scenes; the fixed colours of Fc come from its attack split.
-        scenes: scenes of one image size and of the detectors' resolution.
-        draws: number of draws of every random control.
-        frames: annotated photographs for further baselines.
-        seed: seed of random controls and of the bootstrap.
+    The fixed colours of Fc come from the attack split of the ground. Every random control is drawn
+    `draws` times.
     """
 
     backgrounds: BackgroundSet
@@ -219,7 +215,7 @@ def precheck_lines(record: PrecheckRecord, doubts: Sequence[str] = ()) -> list[s
     """Tells in a few lines what was measured, the findings, and the doubts of the card."""
     found = findings(record)
     told = [
-        f"{detector_name(record.detector)}: {verdict(found).upper()} "
+        f"{detector_name(record.detector)}: {worst(found).outcome.upper()} "
         f"({record.measured_on.scenes} scenes, threshold {record.threshold:.3f})"
     ]
     for check, finding in zip(record.sets, found, strict=False):

@@ -50,9 +50,6 @@ FALSE_ALARM = "#F0E442"
 _COUNT = 6
 _ENLARGE = 2
 
-_Seen = tuple[bool, float]
-"""Whether a vehicle is found, and its score."""
-
 
 def score(
     detectors: Sequence[Detector],
@@ -70,16 +67,10 @@ def score(
 ) -> list[Outcome]:
     """Writes a score folder: outcomes, baselines and pictures, whole or not at all.
 
-    Args:
-        scenes: scenes of one image size; without a stage none are rendered.
-        unchanged: the scenes as they are, if they are rendered already.
-        baselines: further images without camouflage.
-        sources: sources of the ground, or ["procedural"]; empty if not known.
-        worn: the camouflages by their folders, if their looks are to be kept.
-        progress: called with (images done, images in all).
-
-    Returns:
-        The outcomes detector by detector, then change by change.
+    Without a stage no scenes are rendered; `unchanged` are the scenes as they are, if they are
+    rendered already. The sources are the ground's, or ["procedural"]. `worn` are the camouflages by
+    their folders, if their looks are to be kept. `progress` gets (images done, images in all). The
+    outcomes come detector by detector, then change by change.
     """
     refuse_twice("detectors", [each.name for each in detectors])
     refuse_twice("camouflages", [change.name for change in changes])
@@ -202,10 +193,8 @@ class _Writer:
                 scenes.setdefault(outcome.scene, []).append(outcome)
         for scene, why in choose_scenes(scenes).items():
             rows = scenes[scene]
-            before = {row.placement: (row.detected_original, row.score_original) for row in rows}
-            then = {
-                row.placement: (row.detected_adversarial, row.score_adversarial) for row in rows
-            }
+            before = [(o.placement, o.detected_original, o.score_original) for o in rows]
+            then = [(o.placement, o.detected_adversarial, o.score_adversarial) for o in rows]
             self._pairs.append(
                 Pair(
                     camouflage=after.name,
@@ -221,7 +210,11 @@ class _Writer:
             )
 
     def _picture(
-        self, view: SceneView, scene: str, detector: Detector, vehicles: Mapping[int, _Seen]
+        self,
+        view: SceneView,
+        scene: str,
+        detector: Detector,
+        vehicles: Sequence[tuple[int, bool, float]],
     ) -> str:
         """Draws the detections in one image unless its file exists; returns the file."""
         file = f"{view.name}/{scene}.jpg"
@@ -233,7 +226,7 @@ class _Writer:
         boxes = view.images.boxes[index].numpy()
         picture = draw_scene(
             view.images.image(index).permute(1, 2, 0).numpy(),
-            [(boxes[place], hit, score) for place, (hit, score) in vehicles.items()],
+            [(boxes[place], hit, score) for place, hit, score in vehicles],
             found.boxes.cpu().numpy(),
             found.scores.cpu().numpy(),
             detector.threshold,

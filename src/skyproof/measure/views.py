@@ -104,13 +104,9 @@ def views(
 ) -> Iterator[SceneView]:
     """Yields the view of the scenes as they are, then one under each change.
 
-    Images have 8 bits a channel, as in files, and those of more than 1024 px a side are split into
-    windows (`detect_by_each`). A batch is rendered while the detectors run on the one before.
-
-    Args:
-        scenes: scenes of one image size.
-        unchanged: the scenes as they are, if they are rendered already.
-        progress: called with the number of images of each finished batch.
+    Images have 8 bits a channel, as in files. A batch is rendered while the detectors run on the
+    one before. `unchanged` are the scenes as they are, if they are rendered already. `progress`
+    gets the number of images of each finished batch.
     """
     _check(detectors, scenes)
     if unchanged is None:

@@ -19,7 +19,6 @@ from skyproof.results.precheck import (
     Rate,
     findings,
     misfit_thresholds,
-    verdict,
     worst,
 )
 from skyproof.results.results import Results
@@ -126,7 +125,7 @@ def _removed(results: Results) -> str:
     # A finder is named by its folder, then by its weights in brackets.
     checker = Path(record.checked_by.name.partition(" (")[0]).name
     precheck = results.prechecks.get(checker)
-    if precheck is None or verdict(findings(precheck)) != "failed":
+    if precheck is None or worst(findings(precheck)).outcome != "failed":
         return removed
     return (
         f"{removed} {detector_name(checker)} searched for remaining vehicles, but it failed its "

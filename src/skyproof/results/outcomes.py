@@ -130,15 +130,7 @@ def read_table(
 ) -> pa.Table:
     """Reads some or all columns of a Parquet table, and refuses every other form than `schema`.
 
-    Args:
-        path: the file.
-        schema: required columns.
-        hints: annotation with the limits of values, by column.
-        undefined: columns whose numbers may be nan.
-        columns: columns to read; all by default.
-
-    Raises:
-        StoredFileError: the file is missing, not Parquet, too large, or of another form.
+    `hints` limit the values by column; in `undefined` columns numbers may be nan.
     """
     if not path.exists():
         raise StoredFileError(f"{path} is missing; {REMEDY}, or give another run folder.")
@@ -210,11 +202,7 @@ class Series(NamedTuple):
 
 @dataclass(frozen=True)
 class OutcomeCounts:
-    """Outcomes counted per series and cell, the cells in order.
-
-    The four counts are vehicles in sight, detected in both images, lost (detected in the original
-    only) and gained (in the adversarial only).
-    """
+    """Outcomes counted per series and cell: vehicles in sight, detected in both, lost, gained."""
 
     cells: tuple[Cell, ...]
     series: Mapping[Series, Int[np.ndarray, "N 4"]]

@@ -83,14 +83,9 @@ class Rate:
 class MeasuredOn:
     """The identity of a precheck. Digests that an older record lacks are empty.
 
-    Attributes:
-        sources: sources of the ground, or ("procedural",).
-        draws: draws of each random control.
-        seed: seed of random controls and of the bootstrap.
-        frames, frames_sha256: name of each annotated set, and digest of its images' names, sizes
-            and labels and of its note.
-        ground_sha256: digest of the index of the tiles.
-        fleet_sha256: digest of the names and sizes of the vehicles.
+    Frames are annotated sets; their digests are of names, sizes and labels of images, and of the
+    note. The ground's digest is of the index of the tiles, the fleet's of names and sizes. There
+    are so many draws of each random control; the seed is theirs and the bootstrap's.
     """
 
     scenes: Count
@@ -201,13 +196,10 @@ class _PrecheckDocument(Struct, frozen=True):
 
 @dataclass(frozen=True)
 class Finding:
-    """The finding of one criterion, such as "plain paints on body panels".
+    """The finding of one criterion, as a clause and as a cell of a table.
 
-    Attributes:
-        words: the finding as a clause.
-        figure: the finding as a cell of a table: "RGB (128, 128, 0) 97 % (90 to 99 %)".
-        beyond: distance of the estimate beyond its limit; below 0 if it is within.
-        rates: rates of the changes, largest first; none for a baseline.
+    `beyond` is how far the estimate lies beyond its limit, below 0 if within. Rates are those of
+    the changes, largest first, and none for a baseline.
     """
 
     criterion: str
@@ -225,13 +217,8 @@ def findings(record: PrecheckRecord) -> list[Finding]:
     return [*baselines, *(_changed(rates, kind) for kind, rates in changed if rates)]
 
 
-def verdict(found: Sequence[Finding]) -> FindingOutcome:
-    """The outcome of all criteria together: that of the worst."""
-    return worst(found).outcome
-
-
 def worst(found: Sequence[Finding]) -> Finding:
-    """The finding of the worst outcome; among equals the one farthest beyond its limit."""
+    """The finding that decides: of the worst outcome, and the farthest beyond its limit."""
     return max(found, key=lambda each: (_SEVERITY[each.outcome], each.beyond))
 
 

@@ -33,12 +33,9 @@ LENIENT_MATCH: Match = "centre_in_box"
 class Contrast:
     """A camouflage beside one of its controls, on the same tiles and vehicles.
 
-    Attributes:
-        easr, draws: EASR of the control, and the number of its draws or repeats.
-        net: EASR of the camouflage minus that of the control.
-        p, p_holm: largest p of the test that the camouflage hides more than each draw
-            (`control_p`), and Holm's correction over all camouflages of this detector; None if a
-            detector found no vehicle before.
+    EASR and the number of draws are the control's; `net` is the camouflage's EASR minus it. `p` is
+    the largest of the test that the camouflage hides more than each draw (`control_p`), `p_holm`
+    corrected over all camouflages of this detector; None if a detector found no vehicle before.
     """
 
     control: CamouflageName
@@ -57,10 +54,9 @@ class Result:
     of the repeats that share a result is nan for a single one.
 
     Attributes:
-        camouflage: name without repeat.
-        vehicles, clusters: numbers of vehicles in sight, and of background tiles that show any.
+        clusters: number of background tiles that show any of the vehicles in sight.
         easr, asr, er: overall success, vehicles lost and vehicles gained.
-        ap_original, ap_adversarial, apd: average precision before and after, and its drop.
+        apd: drop of the average precision.
         random: contrast with the random control; None without one and for controls.
         strongest: contrast with the strongest of the plain-paint, best-of-N and search controls.
             The low limit is the lowest against any of them and the p the largest, so a claim holds
@@ -159,18 +155,12 @@ def summarise(
 
     Repeats of one camouflage ("T-U-0", "T-U-1": seeds of an attack, draws of a control) share one
     result: the mean over repeats, and over detectors in result "mean" (unweighted; undefined where
-    one detector found no vehicle before). Net EASR is EASR minus that of the random control. All
-    rates are on the same tiles and vehicles. The intervals cover which of these were drawn and,
-    where there are several, which seeds and draws. `easr_repeat_sd` (sample standard deviation),
-    `easr_repeat_min` and `easr_repeat_max` give the spread of the repeats.
+    one detector found no vehicle before). All rates are on the same tiles and vehicles. The
+    intervals cover which of these were drawn and, where there are several, which seeds and draws.
 
-    Two things are tested: that the optimised camouflage hides more than every draw of a control
-    (`Contrast`), and that it changes anything (`no_camouflage_p`). Both are the largest p of the
-    repeats, and 1 where these point both ways, so a claim holds for each of them. Holm's correction
-    runs over the camouflages of one detector and match rule. A claim on all detectors takes the
-    largest of their p, which needs no further correction.
-
-    A score of a set that is missing in `sets` ("original" included) is undefined.
+    Both tests give the largest p of the repeats, and 1 where these point both ways, so a claim
+    holds for each of them. Holm's correction runs over the camouflages of one detector and match
+    rule. A claim on all detectors takes the largest of their p, which needs no further correction.
     """
     rows: list[Result] = []
     scores = {Series(s.camouflage, s.renderer, s.detector, s.match): s for s in sets}

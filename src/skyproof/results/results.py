@@ -56,15 +56,9 @@ class RendererChange:
 class Results:
     """All results of one run. What a run folder lacks is empty.
 
-    Attributes:
-        folder: the run folder.
-        scores: its score folders.
-        rows: the table of results, renderer by renderer, by each match rule.
-        counts: counted outcomes that the rows come from.
-        baselines: baseline of each detector on each set of images without camouflage.
-        config, environment, timings: records of the run.
-        cards, records: cards of the detectors by name, records of the camouflages by folder.
-        practicality: practicality by camouflage without repeat.
+    `rows` are the table of results, renderer by renderer, by each match rule, from the `counts` of
+    outcomes. Cards are by detector, records of camouflages by folder, and practicality is by
+    camouflage without repeat.
     """
 
     folder: Path

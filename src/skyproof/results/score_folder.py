@@ -35,16 +35,11 @@ _Threshold = Annotated[float, Meta(ge=-1e6, le=1e6)]
 
 @dataclass(frozen=True)
 class BestF1:
-    """The score threshold of the largest F1 on one set."""
+    """The score threshold of the largest F1 on one set, if a vehicle is there."""
 
     threshold: _Threshold
     precision: Fraction
     recall: Fraction
-
-    @property
-    def f1(self) -> float:
-        """The harmonic mean of both."""
-        return f1(self.precision, self.recall)
 
 
 @dataclass(frozen=True)
@@ -52,12 +47,8 @@ class Baseline:
     """One detector on one set of images without camouflage; a row of `baselines.json`.
 
     Intervals are over the clusters ("places" or "images"); undefined numbers are nan. Precision,
-    recall and false alarms are at the frozen threshold by centre distance.
-
-    Attributes:
-        real: whether a camera took the images.
-        best: best threshold on these images, if known.
-        note: source and processing of the images.
+    recall and false alarms are at the frozen threshold by centre distance. A camera took `real`
+    images, and the note tells their source and processing.
     """
 
     detector: Name
@@ -81,7 +72,8 @@ class Baseline:
         """Whether F1 at the frozen threshold is within three points of the best, or not known."""
         if self.best is None:
             return True
-        return not self.best.f1 - f1(self.precision.estimate, self.recall.estimate) > _FAR
+        largest = f1(self.best.precision, self.best.recall)
+        return not largest - f1(self.precision.estimate, self.recall.estimate) > _FAR
 
 
 def f1(precision: float, recall: float) -> float:
@@ -105,10 +97,7 @@ class ScoreRecord:
 
 @dataclass(frozen=True)
 class Pair:
-    """Two pictures of one scene, without and with a camouflage, as one detector sees them.
-
-    `why` is the reason for the choice of the scene; files are relative to the folder's `pairs`.
-    """
+    """One scene without and with a camouflage, in files relative to the folder's `pairs`."""
 
     camouflage: Name
     detector: Name

@@ -28,14 +28,11 @@ from skyproof.results.statistics.intervals import UNDEFINED, Interval, attack_su
 
 @dataclass(frozen=True)
 class WorstCase:
-    """The share that all attacks together hide from one detector.
+    """The share of the found vehicles that all attacks together hide from one detector.
 
-    Attributes:
-        hidden: share of the found vehicles that at least one of them hides.
-        strongest, alone: the attack that alone hides most, and its share.
-        random: the share for as many random draws, one of each attack's control, as the mean over
-            all such sets; None if a control was not drawn.
-        net: `hidden` minus `random`.
+    `alone` is the share of the strongest attack. `random` is the share for one random draw of each
+    attack's control, the mean over all such sets; None if a control was not drawn. `net` is
+    `hidden` minus `random`.
     """
 
     detector: str

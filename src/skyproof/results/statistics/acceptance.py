@@ -39,11 +39,8 @@ _MOST_TILES = 10**7
 class Requirement:
     """The share of found vehicles that an attack may hide.
 
-    Attributes:
-        accept: share lost by a good detector (the producer's risk point).
-        reject: share lost by a bad one (the consumer's risk point), above `accept`.
-        producer_risk: largest chance that a detector as good as `accept` is rejected.
-        consumer_risk: largest chance that a detector as bad as `reject` is accepted.
+    A good detector loses `accept`, a bad one `reject`, which is larger. The risks are the largest
+    chances that the producer's good one is rejected, and the consumer's bad one accepted.
     """
 
     accept: Annotated[float, Meta(ge=0, lt=1)]
@@ -126,7 +123,7 @@ def decide(
         )
     shares = {name: lost[found > 0] / found[found > 0] for name, (found, lost) in attacks.items()}
     logarithms = {
-        name: (_below(each, requirement.reject), _above(each, requirement.accept))
+        name: (_below(each, requirement.reject), _below(1 - each, 1 - requirement.accept))
         for name, each in shares.items()
     }
     tiles = max(len(each) for each in shares.values())
@@ -158,7 +155,7 @@ def evidence_above(
     shares: Float[np.ndarray, "*runs C"], limit: float
 ) -> Float[np.ndarray, "*runs"]:
     """Gives the evidence for a mean share above a limit in [0, 1)."""
-    return _mean(_above(shares, limit))
+    return evidence_below(1 - shares, 1 - limit)
 
 
 def fewest_tiles(reject: float, consumer_risk: float) -> int:
@@ -176,10 +173,6 @@ def _below(shares: Float[np.ndarray, "*runs C"], limit: float) -> Float[np.ndarr
     """Gives the logarithm of the capital under each bet, a fixed part of the largest safe one."""
     stakes = _BETS / max(1 - limit, _LEAST_LOSS)
     return np.stack([np.log1p(stake * (limit - shares)).sum(axis=-1) for stake in stakes], axis=-1)
-
-
-def _above(shares: Float[np.ndarray, "*runs C"], limit: float) -> Float[np.ndarray, "*runs bets"]:
-    return _below(1 - shares, 1 - limit)
 
 
 def _mean(logarithms: Float[np.ndarray, "*runs bets"]) -> Float[np.ndarray, "*runs"]:

@@ -32,10 +32,7 @@ RateFunction = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class RepeatKind:
-    """A kind of repeat, with the expected standard deviation of its rates, which counts as one.
-
-    `paired_sd` is that of a repeat's differences between two places.
-    """
+    """A kind of repeat; the expected standard deviation of its rates and of paired differences."""
 
     name: str
     usual_sd: float
@@ -62,10 +59,7 @@ difference has the same standard deviation."""
 
 @dataclass(frozen=True)
 class Repeat:
-    """The repeat of something ("R-U", or "detectors") that a series belongs to.
-
-    Series that share the number (detectors, renderers) are of one repeat.
-    """
+    """The repeat of something ("R-U", or "detectors"); series that share the number are of one."""
 
     of: str
     number: str
@@ -133,14 +127,11 @@ def spread_of_repeats(
 
 @dataclass(frozen=True)
 class Group:
-    """Counted outcomes whose mean rate is wanted: several series on one sample.
+    """Counted outcomes (both, lost, gained) of several series on one sample, for their mean.
 
-    Attributes:
-        counts: (both, lost, gained) per series and cell of the sample.
-        sample: tiles and vehicles of the N cells.
-        repeats: what each series is one of several of; empty where they are taken as given.
-        of: what the mean is over, each the mean of its own series, so that a camouflage counts
-            once, however often it was repeated; empty where it is over the series.
+    `repeats` tells what each series is one of several of; empty where they are taken as given. The
+    mean is over `of`, each the mean of its own series, so that a camouflage counts once, however
+    often it was repeated; empty where it is over the series.
     """
 
     counts: Int[np.ndarray, "S N 3"]

@@ -34,11 +34,8 @@ TAIL = 0.025
 class Interval:
     """An estimate with its 95 % limits; nan where no vehicle was found or there is one tile.
 
-    Attributes:
-        estimate, low, high: the rate and its limits.
-        unanimous: whether every tile agreed in some part, so that exact binomial limits entered.
-        errors: the standard error by source of variation: "tiles", "vehicles", "seeds", "draws",
-            "trainings". The interval leaves out the others.
+    It is unanimous if every tile agreed in some part, so that exact binomial limits entered. The
+    standard errors are by source of variation: "tiles", "vehicles", "seeds", "draws", "trainings".
     """
 
     estimate: float
@@ -76,11 +73,8 @@ def cluster_interval(
     resampling sees no spread; each cluster then counts as one trial, where the statistic is defined
     on it, and the exact binomial limit 1 − 0.025^(1/C) is used on both sides.
 
-    Args:
-        counts: (both, lost, gained) per series (detector, camouflage) and cluster.
-        statistic: takes summed counts `[..., S, 3]`, gives `[...]`; nan where undefined.
-        weights: from `resample`.
-        limits: smallest and largest value of the statistic.
+    Given are the counts per series and cluster, a statistic of summed counts `[..., S, 3]` with its
+    smallest and largest value, nan where undefined, and the weights of `resample`.
     """
     total = counts.sum(axis=1)
     by_cluster = counts.transpose(1, 0, 2)
@@ -106,10 +100,7 @@ def resampled(
 
 @dataclass(frozen=True)
 class Sample:
-    """The N cells of a test, each one vehicle of the fleet on one tile.
-
-    A vehicle stands on many tiles, and a tile shows many vehicles, so neither is nested in the
-    other. All results share one sample, which pairs their differences.
+    """The N cells of a test, each one vehicle of the fleet on one tile; neither nests in the other.
 
     Tiles and vehicles have numbers from 0 without gaps; `weights` are of `resample`.
     """
@@ -176,21 +167,13 @@ def bootstrap_interval(
 ) -> Interval:
     """Does what `cluster_interval` does, from a statistic's values.
 
-    Where vehicles are crossed with the clusters, the variance is that of both (`_crossed`): the
-    half-width that vehicles add to that of the clusters is squared and added to BCa's, and the
-    effective number of vehicles follows from the whole variance. Where all replicates agree, each
-    cluster or each vehicle counts as one trial, whichever are fewer. The interval of a single
-    vehicle applies to it alone.
-
-    Args:
-        estimate: the statistic of all clusters.
-        replicates, left_one_out: its values in the replicates, and with each cluster left out; nan
-            where undefined.
-        limits: smallest and largest value of the statistic.
-        telling: number of clusters, or vehicles where these are fewer, on which it is defined.
-        crossed: its values with each vehicle and with each cell left out, if crossed.
-        exact: whether the effective number of vehicles sets limits as well. It does so for one
-            rate, not for a difference of two.
+    Where vehicles are crossed with the clusters (`crossed`: the values with each vehicle and with
+    each cell left out), the variance is that of both (`_crossed`): the half-width that vehicles add
+    to that of the clusters is squared and added to BCa's, and the effective number of vehicles
+    follows from the whole variance. Where all replicates agree, each cluster or each vehicle counts
+    as one trial, whichever are fewer, of those on which it is defined (`telling`). The interval of
+    a single vehicle applies to it alone. Without `exact`, for a difference of two rates, the
+    effective number of vehicles sets no limits.
     """
     clusters = len(left_one_out)
     replicates = replicates[~np.isnan(replicates)]
@@ -308,17 +291,17 @@ def _levels(
 
 def attack_success_rate(counts: Num[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape"]:
     """Gives ASR = |V_dm| / |V_dd ∪ V_dm|, the share of found vehicles now missed; else nan."""
-    return _divide(counts[..., 1], counts[..., 0] + counts[..., 1])
+    return share_of(counts[..., 1], counts[..., 0] + counts[..., 1])
 
 
 def enhancement_rate(counts: Num[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape"]:
     """Gives ER = |V_md| / |V_dd ∪ V_dm|, vehicles found only since; it may exceed 1."""
-    return _divide(counts[..., 2], counts[..., 0] + counts[..., 1])
+    return share_of(counts[..., 2], counts[..., 0] + counts[..., 1])
 
 
 def overall_attack_success_rate(counts: Num[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape"]:
     """Gives EASR = ASR − ER, which is 1 − TP_adversarial / TP_original at the fixed threshold."""
-    return _divide(counts[..., 1] - counts[..., 2], counts[..., 0] + counts[..., 1])
+    return share_of(counts[..., 1] - counts[..., 2], counts[..., 0] + counts[..., 1])
 
 
 def false_alarms_per_km2(false_alarms: int, area_m2: float) -> float:
@@ -326,6 +309,7 @@ def false_alarms_per_km2(false_alarms: int, area_m2: float) -> float:
     return 1e6 * false_alarms / area_m2 if area_m2 > 0 else float("nan")
 
 
-def _divide(numerator: npt.ArrayLike, denominator: npt.ArrayLike) -> Float[np.ndarray, "*shape"]:
+def share_of(numerator: npt.ArrayLike, denominator: npt.ArrayLike) -> Float[np.ndarray, "*shape"]:
+    """Divides; nan where the denominator is 0."""
     below = np.asarray(denominator, dtype=np.float64)
     return np.divide(numerator, below, out=np.full_like(below, np.nan), where=below > 0)
