@@ -69,13 +69,11 @@ def read_document(
     return parse_document(content, kind, str(path), remedy, error=error)
 
 
-def read_lines(
-    path: Path, kind: type[T] | Any, remedy: str, *, error: type[SkyproofError] = StoredFileError
-) -> list[T]:
+def read_lines(path: Path, kind: type[T] | Any, remedy: str) -> list[T]:
     """Reads a file of one JSON value per line, each as `read_document` reads a file."""
-    lines = _content(path, remedy, error).split(b"\n")
+    lines = _content(path, remedy, StoredFileError).split(b"\n")
     return [
-        parse_document(line, kind, f"{path} line {number}", remedy, error=error)
+        parse_document(line, kind, f"{path} line {number}", remedy)
         for number, line in enumerate(lines, 1)
         if line.strip()
     ]

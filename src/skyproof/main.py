@@ -89,8 +89,7 @@ def main(commands: Commands = COMMANDS) -> None:
 def run(arguments: Sequence[str] | None = None, *, commands: Commands = COMMANDS) -> int:
     """Parses and runs one command; returns the exit code.
 
-    It is 0 when the command is done, 2 for bad input, 130 when the user stopped it, 141 when nobody
-    reads what it prints any more.
+    It is 0 when done, 2 for bad input, 130 when the user stopped it, 141 when nobody reads it.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
@@ -200,10 +199,7 @@ def _summary(command: type[Any]) -> str:
 
 
 def _keep_freed_memory() -> None:
-    """Tells the GNU C library not to hand large freed blocks back to the system.
-
-    Every step needs the same blocks again; fresh ones cost up to a quarter of the rendering time.
-    """
+    """Tells glibc to keep large freed blocks, which cost a quarter of the rendering time anew."""
     trim_threshold = -1
     mmap_threshold = -3
     try:

@@ -31,10 +31,7 @@ def open_picture(
     error: type[SkyproofError] = StoredFileError,
     also: tuple[str, ...] = (),
 ) -> Image.Image:
-    """Reads the header of a picture; `read_pixels` or Pillow decodes its pixels.
-
-    Formats are those of `_FORMATS` and of Pillow in `also`; `remedy` is the advice of the error.
-    """
+    """Reads the header of a picture, of `_FORMATS` or Pillow's formats in `also`, with a remedy."""
     refuse_special(path, remedy, error=error)
     try:
         with warnings.catch_warnings():
@@ -74,15 +71,11 @@ def _refuse_giant(
 
 
 def read_pixels(
-    path: Path,
-    remedy: str,
-    *,
-    size_px: tuple[int, int] | None = None,
-    error: type[SkyproofError] = StoredFileError,
+    path: Path, remedy: str, *, size_px: tuple[int, int] | None = None
 ) -> UInt8[np.ndarray, "H W 3"]:
     """Decodes a whole picture as sRGB bytes; arguments as of `whole_picture`."""
     # One copy: a conversion copies even if there is nothing to convert.
-    return np.array(whole_picture(path, remedy, size_px=size_px, error=error))
+    return np.array(whole_picture(path, remedy, size_px=size_px))
 
 
 def whole_picture(

@@ -6,10 +6,7 @@ import torch
 
 
 def generator_of(seed: int, *names: str | int) -> torch.Generator:
-    """Returns a generator for one purpose, such as "fleet" and the split.
-
-    A change to one stage therefore leaves the draws of the others alone.
-    """
+    """Returns a generator for one purpose, such as "fleet" and a split; no draws are shared."""
     mixed = seed
     for name in names:
         for byte in str(name).encode() + b"/":

@@ -37,10 +37,7 @@ def write_tensors(
 
 
 def read_tensors(path: Path, remedy: str) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Reads a file of `write_tensors`; opening it runs no code.
-
-    The tensors are on the CPU, and the record is empty if none was written.
-    """
+    """Reads a file of `write_tensors` to the CPU, with its record or an empty one; runs no code."""
     refuse_special(path, remedy)
     if not Path(path).is_file():
         raise StoredFileError(f"{path} is missing; {remedy}.")

@@ -65,10 +65,7 @@ def assess_steps(its: Subject) -> Iterator[Step]:
 def run_assessment(
     request: Request, suite_file: Path = SUITE, black_box: BlackBoxDetector | None = None
 ) -> Path:
-    """Does all steps that are not finished, and prints the results; returns the report's path.
-
-    A black-box detector stands in place of the request's folders.
-    """
+    """Does all steps that are not finished, and prints the results; returns the report's path."""
     its = subject_of(request, read_suite(suite_file), black_box)
     what = "is this vehicle detector" if len(its.names) == 1 else "are these vehicle detectors"
     config = {

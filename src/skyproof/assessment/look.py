@@ -44,10 +44,7 @@ _HALF_WIDTH = 0.05
 
 
 def look_at(its: Subject) -> tuple[int, list[str]]:
-    """Reads what imagery, labels and checkpoint say; gives the most test tiles, and sentences.
-
-    Refuses tiles that do not fit, vehicles of an impossible length, and too few test tiles.
-    """
+    """Reads what imagery, labels and checkpoint say; gives the most test tiles, and sentences."""
     request = its.request
     if request.vehicle_classes and its.black_box is None:
         kind = "torchvision" if request.architecture else "ultralytics"

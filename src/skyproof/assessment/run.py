@@ -303,10 +303,7 @@ class Run:
 def time_left_s(
     steps: Sequence[Step], seconds: Mapping[str, float], cores: int = 1
 ) -> float | None:
-    """Estimates the seconds that a run still takes; None before the first step has finished.
-
-    `seconds` are those of the finished steps, by id; `cores` is the number of steps side by side.
-    """
+    """Estimates the seconds left, of the finished steps by id; None before one has finished."""
     done = [step for step in steps if step.id in seconds]
     if not done:
         return None

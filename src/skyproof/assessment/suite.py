@@ -1,7 +1,4 @@
-"""The suites of attacks of `skyproof assess` and of the demo, each frozen under a version.
-
-No option changes a suite, so a verdict that names the version says how strong the attacks were.
-"""
+"""The suites of attacks of `skyproof assess` and of the demo: frozen, so that versions compare."""
 
 from __future__ import annotations
 

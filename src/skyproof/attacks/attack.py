@@ -199,10 +199,7 @@ class _Run:
 
     @torch.no_grad()
     def search(self) -> _Batch:
-        """Tries a random change of the finished camouflage, kept if the objective is lower.
-
-        Both see the same half of a batch: as many forward passes as an attack of as many steps.
-        """
+        """Tries a random change on half a batch, so in as many passes; kept if it is better."""
         settings, step = self.settings, self.loop.step
         scenes = self.world.step_scenes(max(1, settings.batch_size // 2), settings.seed, step)
         other = copy.deepcopy(self.camouflage)

@@ -1,7 +1,4 @@
-"""Makes camouflages by name, each in a folder of its own: drawn, chosen, or optimised.
-
-Finished ones are kept, unless they were made with other detectors, scenes or colours.
-"""
+"""Makes camouflages by name, each in a folder of its own: drawn, chosen, or optimised."""
 
 import copy
 import math
@@ -63,10 +60,7 @@ def draw_random_control(
 
 @dataclass(frozen=True)
 class Maker:
-    """Makes camouflages against detectors that are attacked together, in one world, on a device.
-
-    The palette has the colours of Fc, and those from which Lc and Pix start.
-    """
+    """Makes camouflages against detectors in one world; Fc, Lc and Pix take a palette."""
 
     detectors: Sequence[Detector]
     world: World
@@ -78,10 +72,7 @@ class Maker:
     def make(
         self, name: CamouflageName, folder: Path, *, draws: int, texture: Camouflage | None
     ) -> None:
-        """Chooses a plain-paint or best-of-N control, and optimises every other camouflage.
-
-        `draws` is the number of a best-of-N control's, `texture` lies under a sequential shape.
-        """
+        """Chooses a control, of `draws` for best-of-N, or optimises; with a progress bar."""
         if name.has_candidates:
             with progress_bar(f"choose {name}") as update:
                 self._choose(name, folder, draws, update)

@@ -62,10 +62,7 @@ class AttackSettings:
         return self.steps * self.batch_size * (_WITHOUT_GRADIENT if name.choice else 1.0)
 
     def of_search(self) -> AttackSettings:
-        """The settings of a random search: as many images, in steps of more.
-
-        A search keeps for good what happens to help on few images.
-        """
+        """The settings of a random search: as many images, in larger steps, less ruled by luck."""
         images = self.steps * self.batch_size
         batch_size = min(max(self.batch_size, _SEARCH_BATCH_SIZE), images)
         return replace(self, steps=images // batch_size, batch_size=batch_size, keep_at=())

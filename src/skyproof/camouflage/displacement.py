@@ -28,16 +28,11 @@ class DisplacementMap(Camouflage):
     so that a deformed vehicle can roll.
 
     Vertices slide along their rays from the middle, so a body that is visible from there never
-    crosses itself. A pickup's bed is not, and does (see `measure_shape`).
+    crosses itself. A pickup's bed is not, and does (see `measure_shape`). A generator draws D and
+    its mirror image for a random control.
 
     Attributes:
-        magnitude: PM, the largest displacement as a fraction of the width; the name says it.
         reach: `[64, 64]` D before symmetry; rows from nose to tail, columns as in `Template.uvs`.
-
-    Args:
-        generator: draws D uniformly, and its mirror image, for a random control; without one D is
-            half-way out everywhere.
-        frozen_parts: whether wheels and underside stay as they are.
     """
 
     def __init__(

@@ -21,12 +21,9 @@ from skyproof.vehicles.vehicle import VehicleBatch
 class Combination(Camouflage):
     """A texture and a displacement map on the same vehicles.
 
-    Differences from the paper: masked textures may be combined too, because texture, part map and
-    displacement share one UV map.
-
-    Attributes:
-        turn_steps: steps after which a parallel attack changes sides (the paper's n_pll). None is
-            sequential: the texture stays and the attack optimises the shape alone.
+    Differences from the paper: masked textures may be combined too, as all share one UV map.
+    `turn_steps` is the paper's n_pll, after which a parallel attack changes sides; None is
+    sequential: the texture stays.
     """
 
     def __init__(

@@ -109,15 +109,13 @@ class CamouflageName:
     an attack keeps, and for a control how it was chosen.
 
     Attributes:
-        kind: texture ("T-U"), shape ("S-O@0.4"), combination ("C-Fc-par@0.2"), or other.
-        constraints: constraints of the texture; None if vehicles keep their own paint.
+        constraints: None if vehicles keep their own paint.
         magnitude: perturbation magnitude PM of the shape in [0, 1]; None if the shape stays.
-        order: sequential or parallel combination. A random control has none, unless it puts a
-            random shape on the attack's own texture ("R-C-Fc-seq@0.2").
+        order: of a combination. A random control has none, unless it puts a random shape on the
+            attack's own texture ("R-C-Fc-seq@0.2").
         random: whether it is a control.
         variant: text after the first "_", such as "on_retinanet", "step10", "weather"; or empty.
         repeat: digits that number the attack's seed or the random draw; or empty.
-        label: base of a name of kind "other".
     """
 
     kind: Kind
@@ -303,10 +301,7 @@ class CamouflageName:
 
     @property
     def chosen_controls(self) -> tuple[CamouflageName, CamouflageName, CamouflageName]:
-        """The controls under its mask that are chosen on other scenes, without a gradient.
-
-        As in `CHOICES`: "T-PixMa" to "R-Ma_plain", "R-PixMa_best", "R-PixMa_search".
-        """
+        """Controls of `CHOICES`: "T-PixMa" to "R-Ma_plain", "R-PixMa_best", "R-PixMa_search"."""
         random = self.control
         plain = replace(random, constraints=_plain(random.constraints))
         variants = zip((plain, random, random), CHOICES, strict=True)

@@ -31,10 +31,7 @@ class _Palette(msgspec.Struct):
 
 
 def fit_palette(pixels: Float[Tensor, "P 3"], colours: int) -> Float[Tensor, "K 3"]:
-    """Few colours that stand for many pixels, by K-means in CIELAB (section 5.4), of four starts.
-
-    They are sRGB in [0, 1], rounded to 8 bits, the most frequent first.
-    """
+    """Colours of 8 bits by K-means in CIELAB (section 5.4), the most frequent first."""
     distinct = len(torch.unique((pixels * 255).round(), dim=0))
     if distinct < colours:
         raise ConfigurationError(

@@ -56,10 +56,7 @@ def score_practicality(texture: TextureConstraints | None, shape_changed: bool) 
 
 @torch.no_grad()
 def practicality_account(camouflage: Camouflage, vehicles: VehicleBatch) -> dict[str, Any]:
-    """Signs and measured means over the vehicles of a camouflage; None for unchanged sides.
-
-    "share_self_intersecting" is of vehicles with more intersections than as built.
-    """
+    """Signs and measured means over the vehicles of a camouflage; None for unchanged sides."""
     parts = [camouflage]
     if isinstance(camouflage, Combination):
         parts = [camouflage.texture, camouflage.shape]

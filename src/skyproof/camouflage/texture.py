@@ -28,21 +28,15 @@ class UniversalTexture(Camouflage):
 
     With a palette every cell holds one logit per colour and shows the mixture softmax(logits /
     temperature). The temperature falls geometrically during an attack, and `finalise` keeps the
-    most likely colour.
+    most likely colour. A given palette is that of fixed colours, or the start of an optimised one
+    or of free cells, which else are drawn uniformly.
 
     Differences from the paper: logits and annealing replace s(s(p)), which loses most of the
     optimisation (docs/attacks.md). Palettes are optimised in sRGB.
 
     Attributes:
-        cells: `[3, g, g]` sRGB in [0, 1], drawn uniformly; or `[K, g, g]` logits, ln of uniform
-            draws.
+        cells: `[3, g, g]` sRGB in [0, 1]; or `[K, g, g]` logits, ln of uniform draws.
         palette: `[K, 3]` sRGB in [0, 1]; a parameter if optimised; absent if colours are free.
-
-    Args:
-        name: name with texture constraints, such as "T-PixFcMa".
-        palette: `[K, 3]` fixed colours; or the start of an optimised palette or of free cells,
-            drawn uniformly without it.
-        colours: number of optimised colours without a palette.
     """
 
     learning_rates: Mapping[str, float]

@@ -1,7 +1,4 @@
-"""Detectors' features at the vehicles of rendered images, and at ground beside them.
-
-A box has one vector of the detector's feature pyramid, before any head reads it.
-"""
+"""The mean of a detector's feature pyramid over boxes of vehicles, and of ground beside them."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,4 @@
-"""Held-out detectors: a reproduction scores and does not attack them (section S5.4).
-
-A table holds detectors of the same training images.
-"""
+"""Detectors that a reproduction scores and does not attack (section S5.4), in tables."""
 
 from __future__ import annotations
 

@@ -150,10 +150,7 @@ class Jobs:
             yield AttackJob(control, settings, preset.detectors, best_of=preset.best_of)
 
     def _shapes(self) -> dict[str, list[str]]:
-        """Random shapes on the texture of every combination, spread over its repeats.
-
-        They have one magnitude alone, because they tell what an optimised shape adds.
-        """
+        """Random shapes, of one magnitude, on the texture of every combination, by its repeats."""
         preset = self._preset
         shapes: dict[str, list[str]] = {}
         for job in self.attacks.values() if preset.best_of else ():

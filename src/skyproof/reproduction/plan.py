@@ -55,10 +55,7 @@ class Plan:
 
     @property
     def waiting(self) -> dict[str, int]:
-        """How many steps wait for each, directly or not, by id.
-
-        The step with the most comes first: all attacks wait while a detector is trained.
-        """
+        """How many steps wait for each, directly or not, by id; the most awaited comes first."""
         made_by = {output: step.id for step in self.steps for output in step.outputs}
         # One bit for each step that waits.
         waiting = dict.fromkeys((step.id for step in self.steps), 0)
@@ -86,10 +83,7 @@ def _named(step: Step) -> Iterator[Path]:
 
 
 def plan_of_run(device: str = "auto", blender: Path | str | None = None, **others: object) -> Plan:
-    """Returns the plan of the run in the current folder, as its `config.json` has it.
-
-    The held-out detectors are those that lie in the folder. Device and Blender may change.
-    """
+    """Returns the plan of the run in the current folder, by its `config.json` and its detectors."""
     if others:
         raise ConfigurationError(
             f"Snakemake's --config takes device and blender, got {', '.join(others)}; leave it out."
@@ -187,8 +181,7 @@ def _training_steps(
 ) -> Iterator[Step]:
     """The steps of one more training, from detectors to scores.
 
-    Detectors learn from the same images by the same recipe, and attacks go as they went on the
-    run's own detectors, but all from other seeds. Random controls are drawn once for all trainings.
+    All is done as in the run, from other seeds; random controls are the same for all trainings.
     """
     make = Steps(preset, layout, device, number)
     steps = [make.train(name, next_seed(preset.seed, number)) for name in preset.detectors]

@@ -265,10 +265,7 @@ class Preset:
 
 
 def read_preset(preset: str) -> tuple[str, Path, dict[str, Any], Preset]:
-    """Reads a preset by its name, or by the path of a JSON file of the same form.
-
-    Returns its name, its file, its values as the file has them, and the settings.
-    """
+    """Reads a preset by name or path of a JSON file; gives its name, file, values and settings."""
     path = PRESETS.get(preset, Path(preset))
     if not path.is_file():
         raise ConfigurationError(

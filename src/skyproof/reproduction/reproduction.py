@@ -1,7 +1,4 @@
-"""A run's results as the paper arranges them.
-
-They stand by attack, each at its best magnitude, beside the paper's numbers.
-"""
+"""A run's results by attack, each at its best magnitude, beside the paper's numbers."""
 
 from collections.abc import Mapping
 from functools import cached_property
@@ -20,15 +17,13 @@ _FEWEST = 3
 
 
 class Reproduction:
-    """Results of a run, with the curves of EASR against practicality that the paper's tables need.
-
-    Names are those of all camouflages, without repeats; held-out detectors stand by table.
-    """
+    """Results of a run, with the curves of EASR against practicality for the paper's tables."""
 
     def __init__(self, results: Results) -> None:
         self.results = results
         self.detectors = results.detectors
         self.cycles = CYCLES in results.renderers
+        # Without repeats.
         self.names = [str(name) for name in results.names]
         self.records: Mapping[str, AttackRecord] = results.records
         self.layout = PaperLayout(results.folder)

@@ -1,7 +1,4 @@
-"""Slurm as the machine of a plan's steps, which Snakemake's plug-in hands over.
-
-Here is only what a user must be told before: is it there, and what works there already?
-"""
+"""What must be told before Snakemake hands steps to Slurm: is it there, and what works there?"""
 
 import os
 import shutil
@@ -38,10 +35,7 @@ def check_slurm() -> None:
 
 
 def wait_for_earlier_jobs(folder: Path) -> None:
-    """Waits, a minute at most, until no job of an earlier call works in a run folder.
-
-    Jobs outlive a machine that lost power. Snakemake would write what they still write.
-    """
+    """Waits a minute for jobs of an earlier call, which write what Snakemake would write again."""
     place = os.path.realpath(folder)
     until = time.monotonic() + _PATIENCE_S
     waited = False

@@ -53,10 +53,7 @@ def shell_line(step: Step, config: Mapping[str, Any]) -> Callable[[object], str]
 def output_of(
     step: Step, directory: Callable[[str], Any], update: Callable[[str], Any]
 ) -> list[Any]:
-    """Returns a step's outputs, with Snakemake's marks of a folder and of a file that is kept.
-
-    A stopped job is not to lose such a file: the next try goes on from the files beside it.
-    """
+    """Returns a step's outputs; `update` marks what Snakemake keeps of a stopped job."""
     paths = [str(path) for path in step.outputs]
     # The report is renewed: it replaces its own pages alone, and knows them by the old ones.
     if step.growing or step.renewed:

@@ -1,7 +1,4 @@
-"""What a detector's feature pyramid holds at vehicles and at bare ground, as one Parquet table.
-
-The rows are plain data and need no torch.
-"""
+"""A detector's features at vehicles and at bare ground, as one Parquet table; needs no torch."""
 
 from collections import defaultdict
 from collections.abc import Iterable, Sequence

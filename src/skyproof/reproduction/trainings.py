@@ -190,10 +190,7 @@ class _Trainings:
         return row | {"net_easr_draw_se": _points(net.errors.get(DRAWS.name))}
 
     def _group(self, camouflages: Sequence[str], detectors: Sequence[str]) -> Group:
-        """Gathers series by training, repeat and detector.
-
-        Draws are the same for all trainings; seeds are in how far trainings lie apart.
-        """
+        """Gathers series by training, repeat and detector; draws are the same for all trainings."""
         stack = []
         repeats: list[list[Repeat]] = []
         for training in self.each:
