@@ -10,8 +10,7 @@ from PIL import Image
 from skyproof.errors import RunFolderError
 from skyproof.reproduction.gather_features import store_features
 from skyproof.reproduction.measure_looks import write_looks
-from skyproof.reproduction.stored_features import read_features
-from skyproof.reproduction.stored_looks import read_looks
+from skyproof.reproduction.stored import read_features, read_looks
 
 
 def test_textures_are_measured_and_samples_drawn(finished: Path, tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from skyproof.reproduction.features import embed
 from skyproof.reproduction.report import write_reproduction_report
-from skyproof.reproduction.stored_features import Features, write_features
+from skyproof.reproduction.stored import Features, write_features
 from tests.reproduction.fabricate import write_scores
 
 TILES = 12

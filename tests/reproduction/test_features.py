@@ -13,7 +13,7 @@ from skyproof.detectors.detector import Detections, Detector, TrainableDetector
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.reproduction import gather_features as module
 from skyproof.reproduction.gather_features import gather_features
-from skyproof.reproduction.stored_features import Features, read_features, write_features
+from skyproof.reproduction.stored import Features, read_features, write_features
 from skyproof.scenes.scene import write_scenes
 
 VEHICLES = [(20.0, 30.0, 56.0, 46.0), (100.0, 90.0, 116.0, 126.0)]

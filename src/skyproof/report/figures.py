@@ -3,7 +3,8 @@
 import base64
 import io
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -56,6 +57,27 @@ STYLE: Any = {
 _REMEDY = "copy the whole folder again, or score again"
 
 
+@contextmanager
+def figure_style(name: str, *, font: float = 11, title: float = 12) -> Iterator[None]:
+    """Draws with bold titles at the left; `name` tells the SVG's ids from those of others."""
+    titles = {"titlelocation": "left", "titleweight": "bold", "titlesize": title}
+    style = STYLE | {f"axes.{key}": value for key, value in titles.items()}
+    with plt.rc_context(style | {"svg.hashsalt": name, "font.size": font}):
+        yield
+
+
+def panels(lines: int, columns: int, width: float, height: float, **shared: Any) -> tuple[Any, Any]:
+    """Makes a figure, in inches, and the grid of its axes."""
+    size = (width, height)
+    return plt.subplots(lines, columns, figsize=size, squeeze=False, layout="constrained", **shared)
+
+
+def rule(axes: Any, along: str = "both") -> None:
+    """Draws pale lines behind what is shown, at the ticks of an axis or of both."""
+    axes.grid(axis=along, color="#e3e7eb")
+    axes.set_axisbelow(True)
+
+
 def forest_figure(
     salt: str,
     labels: Sequence[str],
@@ -90,8 +112,7 @@ def forest_figure(
         axes.axvline(0, color=GREY, linewidth=1)
         axes.set_xlim(100 * min(lows) - 4, 100 * max(highs) + 4)
         axes.set_xlabel("% of the vehicles found without camouflage (bars: 95 % interval)")
-        axes.grid(axis="x", color="#e3e7eb")
-        axes.set_axisbelow(True)
+        rule(axes, "x")
         if axes.get_legend_handles_labels()[0]:
             axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, fontsize=10)
         return as_svg(figure)
@@ -152,20 +173,13 @@ def loss_figure(title: str, curves: Mapping[str, Sequence[tuple[float, float]]])
         return as_svg(figure)
 
 
-def condition_figure(panels: Sequence[Panel]) -> str:
+def condition_figure(conditions: Sequence[Panel]) -> str:
     """Draws the share hidden by condition, with intervals, and how many vehicles that is."""
     columns = 2
-    lines = math.ceil(len(panels) / columns)
+    lines = math.ceil(len(conditions) / columns)
     with plt.rc_context(STYLE | {"svg.hashsalt": "conditions"}):
-        figure, grid = plt.subplots(
-            lines,
-            columns,
-            figsize=(9.2, 2.9 * lines),
-            layout="constrained",
-            squeeze=False,
-            sharey=True,
-        )
-        for axes, panel in zip(grid.flat, panels, strict=False):
+        figure, grid = panels(lines, columns, 9.2, 2.9 * lines, sharey=True)
+        for axes, panel in zip(grid.flat, conditions, strict=False):
             for place, bar in enumerate(panel.bins):
                 if not math.isnan(bar.rate.estimate):
                     _point(axes, bar.rate, place, "o", BLUE, upright=True)
@@ -174,14 +188,13 @@ def condition_figure(panels: Sequence[Panel]) -> str:
             axes.set_xlim(-0.6, len(panel.bins) - 0.4)
             axes.axhline(100 * panel.overall, color=GREY, linewidth=1, linestyle="--")
             axes.set_title(panel.title, loc="left", fontsize=11, fontweight="bold")
-            axes.grid(axis="y", color="#e3e7eb")
-            axes.set_axisbelow(True)
-        lows = [100 * bar.rate.low for panel in panels for bar in panel.bins]
+            rule(axes, "y")
+        lows = [100 * bar.rate.low for panel in conditions for bar in panel.bins]
         bottom = min([0.0, *(low for low in lows if not math.isnan(low))])
         for axes in grid[:, 0]:
             axes.set_ylim(bottom - 3, 103)
             axes.set_ylabel("share hidden (%)")
-        for axes in list(grid.flat)[len(panels) :]:
+        for axes in list(grid.flat)[len(conditions) :]:
             axes.set_visible(False)
         return as_svg(figure)
 
@@ -251,15 +264,8 @@ def queries_figure(curves: Sequence[QueryCurve]) -> str:
     columns = min(3, len(names))
     rows = math.ceil(len(names) / columns)
     with plt.rc_context(STYLE | {"svg.hashsalt": "queries"}):
-        figure, grid = plt.subplots(
-            rows,
-            columns,
-            figsize=(max(4.0, 2.7 * columns), 0.5 + 2.3 * rows),
-            sharex=True,
-            sharey=True,
-            squeeze=False,
-            layout="constrained",
-        )
+        width = max(4.0, 2.7 * columns)
+        figure, grid = panels(rows, columns, width, 0.5 + 2.3 * rows, sharex=True, sharey=True)
         for axes, name in zip(grid.flat, names, strict=False):
             for curve in (one for one in curves if one.name == name):
                 colour, line = (GREY, "s--") if curve.random else (BLUE, "o-")

@@ -15,7 +15,16 @@ from jaxtyping import Bool, Float, Int
 from matplotlib.lines import Line2D
 
 from skyproof.camouflage.name import CamouflageName
-from skyproof.report.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, as_files
+from skyproof.report.figures import (
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    as_files,
+    figure_style,
+    panels,
+)
 from skyproof.reproduction.cells import (
     Block,
     Figure,
@@ -27,9 +36,8 @@ from skyproof.reproduction.cells import (
     rate,
     value,
 )
-from skyproof.reproduction.drawing import figure_style, panels
 from skyproof.reproduction.reproduction import Reproduction
-from skyproof.reproduction.stored_features import GROUND, Features
+from skyproof.reproduction.stored import GROUND, Features
 from skyproof.results.outcomes import ORIGINAL
 from skyproof.results.statistics.intervals import Interval, cluster_interval, resample
 from skyproof.words import detector_name

@@ -26,7 +26,7 @@ from skyproof.randomness import generator_of
 from skyproof.render.dataset import render_dataset
 from skyproof.render.renderer import TorchRenderer
 from skyproof.reproduction.preset import MOST_SCENES
-from skyproof.reproduction.stored_features import GROUND, Features, write_features
+from skyproof.reproduction.stored import GROUND, Features, write_features
 from skyproof.results.outcomes import ORIGINAL
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.vehicles.fleet import Fleet

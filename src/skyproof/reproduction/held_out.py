@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from skyproof.camouflage.name import CamouflageName
-from skyproof.report.figures import BLUE, GREY, INK, ORANGE, as_files
+from skyproof.report.figures import BLUE, GREY, INK, ORANGE, as_files, figure_style, panels, rule
 from skyproof.reproduction.cells import (
     Block,
     Figure,
@@ -25,7 +25,6 @@ from skyproof.reproduction.cells import (
     rate,
 )
 from skyproof.reproduction.cycles import rates_under
-from skyproof.reproduction.drawing import figure_style, panels, rule
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.results.result import MEAN
 from skyproof.results.results import CYCLES, RENDERER, Results

@@ -19,11 +19,10 @@ from matplotlib.patches import Patch
 from skyproof.camouflage.name import CamouflageName
 from skyproof.files import inside
 from skyproof.pictures import read_pixels
-from skyproof.report.figures import BLUE, GREY, INK, ORANGE, as_files
+from skyproof.report.figures import BLUE, GREY, INK, ORANGE, as_files, figure_style, panels, rule
 from skyproof.reproduction.cells import Cell, Figure, TextTable, Topic, number, span, value
-from skyproof.reproduction.drawing import figure_style, panels, rule
 from skyproof.reproduction.reproduction import Reproduction
-from skyproof.reproduction.stored_looks import Strip, TextureLooks
+from skyproof.reproduction.stored import Strip, TextureLooks
 
 _REMEDY = "copy the whole folder again, or score again"
 _ACROSS = 12

@@ -27,7 +27,7 @@ from skyproof.geometry.colour import linear_to_srgb, srgb_to_cielab, srgb_to_lin
 from skyproof.render.dataset import placed_vehicles
 from skyproof.render.renderer import TorchRenderer
 from skyproof.render.settings import RenderSettings
-from skyproof.reproduction.stored_looks import Looks, PairLooks, Strip, TextureLooks
+from skyproof.reproduction.stored import Looks, PairLooks, Strip, TextureLooks
 from skyproof.results.score_folder import is_pictured
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.scene import Scene

@@ -7,8 +7,7 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.reproduction.curves import PracticalityCurve, practicality_curves
 from skyproof.reproduction.layout import PaperLayout
 from skyproof.reproduction.paper_results import PAPER_RESULTS
-from skyproof.reproduction.stored_features import Features, read_features
-from skyproof.reproduction.stored_looks import Looks, read_looks
+from skyproof.reproduction.stored import Features, Looks, read_features, read_looks
 from skyproof.results.result import MAIN_MATCH, Result
 from skyproof.results.results import CYCLES, RENDERER, Results
 from skyproof.results.stored import AttackRecord

@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 
 from skyproof.camouflage.name import IN_WEATHER, CamouflageName
-from skyproof.report.figures import BLUE, GREY, ORANGE, as_files
+from skyproof.report.figures import BLUE, GREY, ORANGE, as_files, figure_style, panels, rule
 from skyproof.reproduction.cells import Figure, TextTable, Topic, interval_cells, rate, value
-from skyproof.reproduction.drawing import figure_style, panels, rule
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.results.conditions import shared_groups
 from skyproof.results.outcomes import Outcome
