@@ -158,7 +158,7 @@ def test_deep_images_are_refused(tmp_path):
 @pytest.mark.parametrize(
     ("labels", "names", "options", "message"),
     [
-        ("0 0.95 0.5 0.2 0.1\n", "car\nminibus\n", {}, "line 1 has a box outside"),
+        ("0 1.2 0.5 0.2 0.1\n", "car\nminibus\n", {}, "line 1 has a box outside"),
         ("0 0.5 0.5 0 0.1\n", "car\nminibus\n", {}, "line 1 has a box without size"),
         ("0 0.5 0.5 0.1 0.1\n7 0.5 0.5 0.1 0.1\n", "car\nminibus\n", {}, "line 2 has class 7"),
         ("0 0.5 0.5 0.1\n", "car\nminibus\n", {}, "line 1 is not"),

@@ -1,6 +1,7 @@
 """Label files of every form, written by hand: what is read, and the sentence for what cannot be."""
 
 import json
+import re
 import socket
 
 import geopandas
@@ -71,7 +72,7 @@ def test_coco(tmp_path):
     ("document", "message"),
     [
         (
-            annotation(bbox=[190, 15, 20, 10]),
+            annotation(bbox=[200, 15, 20, 10]),
             "annotation 5 has a box outside its image of 200 x 100 px",
         ),
         (annotation(bbox=[30, 15, 0, 10]), "annotation 5 has a box without size"),
@@ -149,6 +150,35 @@ def test_an_empty_place_among_the_classes_counts(tmp_path, name, text):
     assert [label.class_name for label in labels.images["one"]] == ["truck", "class 1"]
 
 
+def test_labels_that_stand_twice_count_once_and_boxes_are_cut_with_a_note(tmp_path):
+    row = {"image_id": 10, "category_id": 7, "bbox": [-8, 15, 40, 10]}
+    document = coco(annotations=[{"id": 1, **row}, {"id": 2, **row}])
+    labels = read_labels(written(tmp_path / "labels.json", document))
+    (label,) = labels.images["one"]
+    assert label.bounds == (0, 15, 32, 25)
+    twice, cut = labels.notes
+    assert twice == f"1 labels of {tmp_path / 'labels.json'} stand there twice and count once"
+    assert cut == f"2 boxes of {tmp_path / 'labels.json'} are cut at the edge of their image"
+    written(tmp_path / "yolo" / "data.yaml", "names: [car]\n")
+    picture(tmp_path / "yolo" / "one.png")
+    written(tmp_path / "yolo" / "one.txt", "0 0.2 0.2 0.1 0.1\n" * 3)
+    assert len(read_labels(tmp_path / "yolo").images["one"]) == 1
+    points = features(*[shape("Point", [1, 2])] * 2)
+    labels = read_labels(written(tmp_path / "x.geojson", points))
+    assert len(labels.labels) == len(labels.notes) == 1
+
+
+def test_ids_as_floats_and_paths_of_windows_are_read(tmp_path):
+    plain = coco()
+    text = json.dumps(plain)
+    other = text.replace('"images/one.png"', '"images\\\\train\\\\one.png"')
+    for key in ("id", "image_id", "category_id"):
+        other = re.sub(rf'("{key}": \d+)', r"\1.0", other)
+    assert other.count(".0") >= 4
+    first = read_labels(written(tmp_path / "a.json", text))
+    assert read_labels(written(tmp_path / "b.json", other)) == first
+
+
 def test_a_mark_of_the_byte_order_is_skipped(tmp_path):
     for name, text in (
         ("coco.json", json.dumps(coco())),
@@ -221,7 +251,7 @@ def test_yolo_in_a_folder_of_labels(tmp_path):
 @pytest.mark.parametrize(
     ("labels", "message"),
     [
-        ("0 0.95 0.5 0.2 0.1\n", "line 1 has a box outside"),
+        ("0 1.2 0.5 0.2 0.1\n", "line 1 has a box outside"),
         ("0 0.5 0.5 0 0.1\n", "line 1 has a box without size"),
         ("0 0.5 0.5 0.1 0.1\n\n7 0.5 0.5 0.1 0.1\n", "line 3 has class 7 but there are 2 names"),
         ("0.5 0.5 0.5 0.1 0.1\n", r"line 1 has class 0\.5"),

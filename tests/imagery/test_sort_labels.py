@@ -7,8 +7,8 @@ from skyproof.errors import ImageryError
 from skyproof.imagery.labels.label import (
     ImageLabels,
     Label,
+    cut_to_image,
     require_classes,
-    require_inside,
     sort_labels,
 )
 
@@ -106,21 +106,27 @@ def test_no_labels():
 @pytest.mark.parametrize(
     ("label", "message"),
     [
-        (upright("car", 90, 10, 101, 14), "outside its image of 100 x 50 px"),
-        (upright("car", -0.6, 10, 9, 14), "outside"),
-        (upright("car", 10, 45, 20, 50.3), "outside"),
+        (upright("car", 100, 10, 111, 14), "outside its image of 100 x 50 px"),
+        (upright("car", -9, 10, 0, 14), "outside"),
+        (upright("car", 10, 50, 20, 60), "outside"),
         (label_of("car", (99, 10), (104, 12), (103, 16), (98, 14)), "outside"),
         (label_of("car", (101, 10)), "outside"),
     ],
 )
 def test_labels_outside_their_image_are_refused(label, message):
     with pytest.raises(ImageryError, match=f"here has a box {message}"):
-        require_inside(label, (100, 50), "here")
+        cut_to_image(label, (100, 50), "here")
 
 
-def test_a_pixel_of_rounding_and_corners_beyond_the_edge_are_allowed():
-    require_inside(upright("car", -0.5, 10, 9, 50.2), (100, 50), "here")
-    require_inside(label_of("car", (97, 10), (102, 12), (101, 16), (96, 14)), (100, 50), "here")
+def test_upright_boxes_are_cut_at_the_edge_of_their_image():
+    label = upright("car", -8, 45, 32, 61)
+    assert cut_to_image(label, (100, 50), "here") == upright("car", 0, 45, 32, 50)
+    for whole in (
+        # Rounding, and an oriented box.
+        upright("car", -0.5, 10, 9, 50.2),
+        label_of("car", (97, 10), (102, 12), (101, 16), (96, 14)),
+    ):
+        assert cut_to_image(whole, (100, 50), "here") == whole
 
 
 def test_an_unknown_class_is_answered_with_those_there_are():

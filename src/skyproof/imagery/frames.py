@@ -17,8 +17,8 @@ from skyproof.imagery.labels.label import (
     GroundLabels,
     ImageLabels,
     Label,
+    cut_to_image,
     require_classes,
-    require_inside,
     sort_labels,
 )
 from skyproof.pictures import LARGEST_PX, open_picture, whole_picture
@@ -128,9 +128,10 @@ def _labels_of(
             f"{file} has {size_px[0]} x {size_px[1]} px but {place} says {stated[0]} x "
             f"{stated[1]}; give the images that were labelled."
         )
-    for number, label in enumerate(annotations.images[name], 1):
-        require_inside(label, size_px, f"{place}, label {number} of {name},")
-    return annotations.images[name]
+    return tuple(
+        cut_to_image(label, size_px, f"{place}, label {number} of {name},")
+        for number, label in enumerate(annotations.images[name], 1)
+    )
 
 
 def _resized(

@@ -22,7 +22,7 @@ from skyproof.imagery.labels.image_files import (
     read_yolo_labels,
     text_lines,
 )
-from skyproof.imagery.labels.label import GroundLabels, Label, Labels, Point
+from skyproof.imagery.labels.label import GroundLabels, Label, Labels, Point, twice_note
 from skyproof.imagery.settings import names_a_system
 
 _FORMS = (
@@ -171,8 +171,9 @@ def _read_ground_labels(path: Path, system_name: str | None = None) -> GroundLab
             # Shapefiles have no truth values, only numbers.
             ignored = str(record.get("ignore")) in ("True", "1")
             labels.append(Label(_class_name(record, where), corners, ignored))
-    names = dict.fromkeys(label.class_name for label in labels)
-    return GroundLabels(tuple(names), tuple(labels), crs)
+    single = tuple(dict.fromkeys(labels))
+    names = dict.fromkeys(label.class_name for label in single)
+    return GroundLabels(tuple(names), single, crs, twice_note(len(labels) - len(single), path))
 
 
 def _shapes(geometry: Any) -> list[tuple[Point, ...]]:

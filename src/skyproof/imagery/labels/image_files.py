@@ -3,7 +3,7 @@
 import math
 import warnings
 from collections.abc import Iterable, Sequence
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import Annotated, Any
 
 import msgspec
@@ -14,7 +14,7 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from skyproof.documents import read_document
 from skyproof.errors import ImageryError
 from skyproof.files import refuse_special
-from skyproof.imagery.labels.label import Box, ImageLabels, Label, require_inside
+from skyproof.imagery.labels.label import Box, ImageLabels, Label, cut_to_image, twice_note
 from skyproof.imagery.rasters import RASTER_SUFFIXES, open_raster
 from skyproof.ranges import Coordinate
 
@@ -26,8 +26,12 @@ LABEL_FOLDERS = ("labels", "labelTxt")
 _LARGEST_BYTES = 256 * 2**20
 _DOTA_HEADERS = ("imagesource:", "gsd:")
 
-# Tools count, or name every row.
-_Id = Annotated[int, Meta(ge=-(2**63), le=2**63 - 1)] | Annotated[str, Meta(max_length=200)]
+# Tools count, also in floats, or name every row.
+_Id = (
+    Annotated[int, Meta(ge=-(2**63), le=2**63 - 1)]
+    | Annotated[float, Meta(ge=-(2**63), le=2**63)]
+    | Annotated[str, Meta(max_length=200)]
+)
 _ImageSize = Annotated[float, Meta(ge=0, le=1e6)]
 
 
@@ -62,7 +66,9 @@ class _LabelledImages:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.labels: dict[str, list[Label]] = {}
+        # Labels as keys keep their order, and none stands there twice.
+        self.labels: dict[str, dict[Label, None]] = {}
+        self._twice = self._cut = 0
         self.sizes_px: dict[str, tuple[int, int]] = {}
 
     def add_image(self, name: str, size_px: tuple[int, int] | None) -> None:
@@ -71,7 +77,7 @@ class _LabelledImages:
                 f"{self.path} labels two images called {name!r}; rename one of them, or split the "
                 "labels."
             )
-        self.labels[name] = []
+        self.labels[name] = {}
         if size_px is not None:
             self.sizes_px[name] = size_px
 
@@ -80,12 +86,17 @@ class _LabelledImages:
         if left >= right or top >= bottom:
             raise _damaged(where, "has a box without size")
         if name in self.sizes_px:
-            require_inside(label, self.sizes_px[name], where)
-        self.labels[name].append(label)
+            whole, label = label, cut_to_image(label, self.sizes_px[name], where)
+            self._cut += label != whole
+        self._twice += label in self.labels[name]
+        self.labels[name][label] = None
 
     def with_classes(self, classes: Iterable[str]) -> ImageLabels:
         images = {name: tuple(labels) for name, labels in self.labels.items()}
-        return ImageLabels(tuple(classes), images, self.sizes_px)
+        notes = twice_note(self._twice, self.path)
+        if self._cut:
+            notes += (f"{self._cut} boxes of {self.path} are cut at the edge of their image",)
+        return ImageLabels(tuple(classes), images, self.sizes_px, notes)
 
 
 def _damaged(where: str, what: str) -> ImageryError:
@@ -104,10 +115,10 @@ def read_coco_labels(path: Path) -> ImageLabels:
     document: _CocoFile = read_document(path, _CocoFile, "correct it", error=ImageryError)
     categories = {row.id: row.name for row in document.categories}
     images = _LabelledImages(path)
-    names: dict[int | str, str] = {}
+    names: dict[float | str, str] = {}
     for image in document.images:
         # Only the name of a path counts: no file is opened by it.
-        names[image.id] = Path(image.file_name).stem
+        names[image.id] = PureWindowsPath(image.file_name).stem
         size_px = int(image.width or 0), int(image.height or 0)
         images.add_image(names[image.id], size_px if image.width and image.height else None)
     if not names:

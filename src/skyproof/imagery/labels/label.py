@@ -81,11 +81,13 @@ class ImageLabels:
     """Labels in pixels, x right and y down from the top-left corner of the top-left pixel.
 
     Images are named by their files without the ending. Their widths and heights may not be known.
+    Notes tell repairs.
     """
 
     classes: tuple[str, ...]
     images: Mapping[str, tuple[Label, ...]]
     sizes_px: Mapping[str, tuple[int, int]]
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -95,9 +97,15 @@ class GroundLabels:
     classes: tuple[str, ...]
     labels: tuple[Label, ...]
     crs: str
+    notes: tuple[str, ...] = ()
 
 
 Labels = ImageLabels | GroundLabels
+
+
+def twice_note(count: int, path: object) -> tuple[str, ...]:
+    """Tells how many labels repeat others to the last digit."""
+    return (f"{count} labels of {path} stand there twice and count once",) if count else ()
 
 
 def require_classes(labels: Labels, classes: Sequence[str], where: str) -> None:
@@ -110,20 +118,27 @@ def require_classes(labels: Labels, classes: Sequence[str], where: str) -> None:
         )
 
 
-def require_inside(label: Label, size_px: tuple[int, int], where: str) -> None:
-    """Refuses an upright box not wholly in its image, or an oriented one centred outside."""
+def cut_to_image(label: Label, size_px: tuple[int, int], where: str) -> Label:
+    """Cuts an upright box at its image's edge, beyond rounding; refuses one that lies outside.
+
+    Corners of an oriented box may reach over the edge, if its centre does not.
+    """
     left, top, right, bottom = label.bounds
     width, height = size_px
     xs, ys = ({*values} for values in zip(*label.corners, strict=True))
-    if xs == {left, right} and ys == {top, bottom}:
-        inside = is_within(label.bounds, size_px)
+    upright = len(label.corners) > 1 and xs == {left, right} and ys == {top, bottom}
+    if upright:
+        inside = left < width and top < height and right > 0 and bottom > 0
     else:
-        # Corners of an oriented box may well reach over the edge.
         inside = 0 <= (left + right) / 2 <= width and 0 <= (top + bottom) / 2 <= height
     if not inside:
         raise ImageryError(
             f"{where} has a box outside its image of {width} x {height} px; correct it."
         )
+    if not upright or is_within(label.bounds, size_px):
+        return label
+    corners = [(min(max(x, 0.0), float(width)), y) for x, y in label.corners]
+    return label.moved([(x, min(max(y, 0.0), float(height))) for x, y in corners])
 
 
 def sort_labels(

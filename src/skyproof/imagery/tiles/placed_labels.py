@@ -71,7 +71,7 @@ class PlacedLabels:
         self._settings, self._sources = settings, sources
         self._bins: dict[tuple[str, int, int], list[_Placed]] = defaultdict(list)
         self._planes: dict[str, _Plane] = {}
-        self.notes: list[str] = []
+        self.notes = [*labels.notes]
         for cell in cells:
             plane = self._planes.setdefault(cell.plane, _Plane(cell.crs, set(), cell.extent))
             plane.sources.update(cell.sources)
