@@ -46,10 +46,7 @@ _NEIGHBOURS = ((0, 0), (1, 0), (0, 1), (-1, 0), (0, -1))
 
 
 class AnchorAnswers(NamedTuple):
-    """The head's output for B images, the finest level first.
-
-    A level's N raw numbers are centre, size, objectness and classes; features are its inputs.
-    """
+    """The head's output: centre, size, objectness and classes by level; and its inputs."""
 
     levels: list[Float[Tensor, "B A _ _ N"]]
     features: list[Float[Tensor, "B _ _ _"]]
@@ -170,10 +167,7 @@ def anchor_loss(
 def _positives(
     head: AnchorHead, level: int, truth: Tensor, height: int, width: int
 ) -> tuple[Int[Tensor, " P"], ...]:
-    """Assigns boxes to anchors of similar size, in their cell and its two nearest neighbours.
-
-    Gives the numbers of box, anchor, row and column of each pair.
-    """
+    """Pairs boxes and anchors of similar size, by their numbers of box, anchor, row and column."""
     own = truth / head.strides_px[level]
     sizes = own[:, 2:] - own[:, :2]
     ratio = sizes[None] / head.anchors_of(level)[:, None]
@@ -195,10 +189,7 @@ def _positives(
 
 
 class AnchorDetector(TrainableDetector):
-    """Ultralytics' backbone and neck with the head and loss of the YOLOv5 of 2020 (section 5.3).
-
-    The architecture has "anchors" per level. A box gets the best score among the vehicle classes.
-    """
+    """Ultralytics' backbone and neck with head and loss of the YOLOv5 of 2020 (section 5.3)."""
 
     name = "yolov5_anchors"
     model: Any

@@ -1,7 +1,4 @@
-"""Any callable as a detector, whose answers are checked before anything uses them.
-
-It may ask a library, a program or a server; it may fail, or answer in other coordinates.
-"""
+"""Any callable as a detector, whose answers are checked: it may fail, or answer nonsense."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any

@@ -44,10 +44,7 @@ class StandIn:
 
 
 def read_checkpoint(path: Path) -> Any:
-    """Reads the content of a `.safetensors` file or a file of `torch.save`.
-
-    Tensors come on the CPU, foreign objects as `StandIn`.
-    """
+    """Reads a file of safetensors or of `torch.save`; foreign objects come as `StandIn`."""
     if not path.is_file():
         raise StoredFileError(f"{path} is missing; give a checkpoint file.")
     try:
@@ -79,10 +76,7 @@ def network_of(content: Any) -> Any:
 
 
 def state_of(network: Any) -> dict[str, Tensor]:
-    """Parameters and buffers by name, in float32, from a state dict or a whole stored network.
-
-    A tensor that claims more numbers than the file holds, or holds none, is refused.
-    """
+    """Parameters and buffers in float32; refuses tensors that claim more than their file holds."""
     if isinstance(network, StandIn):
         found = dict(_walk(network))
     else:

@@ -38,10 +38,7 @@ class Detections:
 
 @dataclass(frozen=True)
 class Candidates:
-    """A detector's boxes before threshold and non-maximum suppression; differentiable.
-
-    Boxes are pixel xyxy, scores in [0, 1]; rows of padding are not valid.
-    """
+    """Boxes (pixel xyxy) and scores in [0, 1] before suppression; padding is not valid."""
 
     boxes: Float[Tensor, "B K 4"]
     scores: Float[Tensor, "B K"]

@@ -118,10 +118,7 @@ def import_detector(
 
 
 def read_blueprint(checkpoint: Checkpoint, scale: float) -> tuple[Blueprint, dict[str, Tensor]]:
-    """Reads a checkpoint's architecture, vehicle classes and weights, with the errors of an import.
-
-    `scale` is the number of its pixels per pixel of the images.
-    """
+    """Reads a checkpoint; `scale` is the number of its pixels per pixel of the images."""
     read = {"torchvision": _torchvision, "ultralytics": read_ultralytics}.get(checkpoint.kind)
     if read is None:
         raise ConfigurationError(
@@ -198,10 +195,7 @@ def _load(detector: ImportedDetector, state: dict[str, Tensor], checkpoint: Chec
 def read_ultralytics(
     checkpoint: Checkpoint, network: Any, state: dict[str, Tensor], digest: str
 ) -> _Plan:
-    """Reads the network that `network_of` found.
-
-    `state` loses the anchors of 2020, which become a part of the architecture.
-    """
+    """Reads the result of `network_of`; anchors of 2020 move from `state` to the architecture."""
     if checkpoint.architecture is not None:
         raise ConfigurationError(
             "an Ultralytics checkpoint holds its architecture; leave --architecture out."
@@ -250,10 +244,7 @@ def _class_names(path: Path, names: Any) -> list[str]:
 def _with_anchors(
     network: StandIn, state: dict[str, Tensor], stored: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Completes the architecture of a YOLOv5 of 2020 with the anchors that it was trained with.
-
-    They may differ from its YAML file, because its trainer replaces badly fitting anchors.
-    """
+    """Adds the anchors that a YOLOv5 of 2020 was trained with, which may differ from its YAML's."""
     cells = next((state.pop(name) for name in list(state) if name.endswith(".anchors")), None)
     # Up to release 5.0, checkpoints store them a second time, in pixels.
     for name in [name for name in state if name.endswith(".anchor_grid")]:

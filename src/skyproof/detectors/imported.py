@@ -191,10 +191,7 @@ class ImportedFcos(_Imported):
     name = "fcos"
 
     def loss(self, images: Images, targets: Sequence[Boxes]) -> Float[Tensor, " B"]:
-        """torchvision's focal loss of the vehicle classes against an empty truth.
-
-        It is divided by the points that one vehicle gets. Without one, centredness has no loss.
-        """
+        """torchvision's focal loss of vehicle classes, over the points that one vehicle gets."""
         check_targets(images, targets)
         logits = self._outputs(images)[0]["cls_logits"]
         focal = sigmoid_focal_loss(logits, torch.zeros_like(logits))

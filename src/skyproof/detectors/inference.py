@@ -130,10 +130,7 @@ def _detect_in_windows(detector: Detector, picture: Picture) -> Detections:
 
 
 def _cores(windows: Sequence[Window]) -> Float[Tensor, "W 4"]:
-    """The core of each window: up to the middle of its overlaps, and slightly beyond.
-
-    A core has no limit at the picture's border, since a box may have been cut there.
-    """
+    """The core of each window: slightly beyond the middle of overlaps, open at the border."""
     edges = []
     for axis in (0, 1):
         length = windows[0][2 + axis]

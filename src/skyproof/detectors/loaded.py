@@ -145,10 +145,7 @@ def _load(folder: Path, card: DetectorCard) -> TrainableDetector:
 def load_ensemble(
     folders: Sequence[Path], device: torch.device | str, gsd_m: float, *, apart: bool = False
 ) -> list[TrainableDetector]:
-    """Loads detectors that will see the same images of one resolution, onto a device.
-
-    With `apart` they are used one by one, and detectors of one kind take their folders' names.
-    """
+    """Loads detectors of one resolution; with `apart`, those of one kind take folders' names."""
     ensemble: list[TrainableDetector] = []
     for folder in folders:
         detector = load_detector(folder)
@@ -173,10 +170,7 @@ def load_ensemble(
 def copy_with_threshold(
     folder: Path, labelled: Mapping[str, Dataset], out: Path, device: torch.device | str
 ) -> str:
-    """Writes a copy of a detector folder to `out` with its threshold frozen on labelled images.
-
-    The card mentions the names of `labelled`. Returns a sentence on the change.
-    """
+    """Copies a detector with a threshold frozen on labelled images; tells of the change."""
     with finished_folder(out) as partial:
         (detector,) = load_ensemble([folder], device, read_card(folder).gsd_m)
         images = Dataset.joined(list(labelled.values()))

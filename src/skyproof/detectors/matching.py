@@ -26,10 +26,7 @@ _PART = 512
 
 
 class Matches(NamedTuple):
-    """The pairing of one image's detections with its vehicles; -1 stands for no partner.
-
-    An unmatched detection in an ignore region is `ignored`: neither a hit nor a false alarm.
-    """
+    """The pairing of one image, -1 for no partner; ignored are neither hits nor false alarms."""
 
     truth_of_detection: Int64[Tensor, " K"]
     detection_of_truth: Int64[Tensor, " T"]
@@ -73,11 +70,8 @@ class MatchTable:
         return _reaches(self.scores, threshold)
 
     def found_at(self, threshold: float) -> Bool[np.ndarray, " T"]:
-        """Whether each vehicle was found by a detection at or above a threshold.
-
-        Matching is greedy by score, so a lower threshold never changes the match of a detection
-        above it.
-        """
+        """Whether a detection at or above a threshold found each vehicle."""
+        # Matching is greedy by score, so a lower threshold changes no match above it.
         matched = ~np.isnan(self.distance_of_vehicle_m)
         return matched & _reaches(self.score_of_vehicle, threshold)
 

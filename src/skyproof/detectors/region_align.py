@@ -34,10 +34,7 @@ class CentreAlign(ops.MultiScaleRoIAlign):
         boxes: list[Float[Tensor, "_ 4"]],
         image_shapes: list[tuple[int, int]],
     ) -> Float[Tensor, "K C S S"]:
-        """Samples every region (pixel xyxy) on the level that fits its size, the finest first.
-
-        No gradient flows to the regions. As the strides are known, `image_shapes` is not needed.
-        """
+        """Samples regions (pixel xyxy) on the level that fits their size; they get no gradient."""
         pyramid = list(x.values())
         side, _ = self.output_size
         # Rows of channels, ordered by pixel, then image, then level.
@@ -81,10 +78,7 @@ class CentreAlign(ops.MultiScaleRoIAlign):
 
 
 def area_levels(boxes: Float[Tensor, "K 4"], strides_px: Sequence[float]) -> Int[Tensor, " K"]:
-    """Chooses pyramid levels by the square root of a box's area, as Faster R-CNN does.
-
-    The stride of each level is twice the one before.
-    """
+    """Chooses levels by the root of a box's area; each has twice the stride of the one before."""
     sides = (boxes[:, 2:] - boxes[:, :2]).clamp(min=1).prod(dim=1).sqrt()
     # The small number is torchvision's, for boxes on a limit.
     wanted = (sides / _CANONICAL_SIDE_PX).log2() + math.log2(_CANONICAL_STRIDE_PX) + 1e-6

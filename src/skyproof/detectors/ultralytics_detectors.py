@@ -160,10 +160,7 @@ class YoloNetwork(YoloDetector):
         self.model = build_model(architecture)
 
     def loss(self, images: Images, targets: Sequence[Boxes]) -> Float[Tensor, " B"]:
-        """Ultralytics' class loss of the vehicle classes against an empty truth.
-
-        It is divided by the points that one vehicle gets. Boxes have no loss without a vehicle.
-        """
+        """Ultralytics' class loss of vehicle classes, over the points that one vehicle gets."""
         check_targets(images, targets)
         logits = self._outputs(images)["scores"][:, self.vehicle_classes]
         return CLASS_GAIN * functional.softplus(logits).sum(dim=(1, 2)) / POINTS_PER_VEHICLE

@@ -124,10 +124,7 @@ def check_validation(validation: Dataset) -> None:
 
 
 def frozen_card(detector: Detector, labelled: Dataset, remedy: str) -> DetectorCard:
-    """Freezes a detector's threshold on labelled images, and returns its card.
-
-    `remedy` is the advice for one that finds nothing.
-    """
+    """Freezes a detector's threshold; `remedy` is the advice for one that finds nothing."""
     check_validation(labelled)
     scores = validate(detector, labelled)
     threshold = scores.pop("threshold")

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -41,13 +42,9 @@ class Target:
     @classmethod
     def of(cls, boxes: Float[Tensor, "N 4"], scores: Float[Tensor, " N"] | None = None) -> "Target":
         """Makes a target of vehicles; without scores they are true ones."""
-        return cls(
-            boxes=boxes.detach().cpu().numpy().astype(np.float32),
-            labels=np.zeros(len(boxes), dtype=np.int64),
-            scores=np.ones(len(boxes), dtype=np.float32)
-            if scores is None
-            else scores.detach().cpu().numpy().astype(np.float32),
-        )
+        scores = torch.ones(len(boxes)) if scores is None else scores
+        own, sure = (each.detach().cpu().numpy().astype(np.float32) for each in (boxes, scores))
+        return cls(own, np.zeros(len(boxes), dtype=np.int64), sure)
 
 
 def batches(dataset: Any, size: int) -> Iterator[Batch]:

@@ -76,10 +76,7 @@ def compare(
     renderer: str,
     matches: Sequence[Match] = MATCHES,
 ) -> list[Outcome]:
-    """The outcomes of one detector under one change, by each rule for every vehicle in sight.
-
-    Both views show the scenes, and `renderer` is their renderer's name in tables.
-    """
+    """The outcomes of one detector under one change, by each rule for every vehicle in sight."""
     outcomes = []
     for match in matches:
         first, second = (view.matched(detector.name, match) for view in (before, after))

@@ -21,7 +21,8 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import StoredFileError
 from skyproof.files import write_beside
 from skyproof.ranges import Fraction, Metres, Name, WholeNumber, limits_of
-from skyproof.results.statistics.contrasts import DRAWS, SEEDS, Repeat
+from skyproof.results.statistics.contrasts import DRAWS, SEEDS, Group, Repeat
+from skyproof.results.statistics.intervals import Sample
 
 Match = Literal["centre_1m", "iou_50", "centre_in_box"]
 """Match rule of `match_detections`."""
@@ -128,10 +129,7 @@ def read_table(
     undefined: Collection[str] = (),
     columns: Sequence[str] | None = None,
 ) -> pa.Table:
-    """Reads some or all columns of a Parquet table, and refuses every other form than `schema`.
-
-    `hints` limit the values by column; in `undefined` columns numbers may be nan.
-    """
+    """Reads columns of a Parquet table of one schema; numbers may be nan in `undefined` ones."""
     if not path.exists():
         raise StoredFileError(f"{path} is missing; {REMEDY}, or give another run folder.")
     try:
@@ -211,6 +209,11 @@ class OutcomeCounts:
     def tiles(self) -> int:
         """Number of background tiles."""
         return len({tile for tile, _ in self.cells})
+
+    def group(self, keys: Sequence[Series], sample: Sample, of: Sequence[str] = ()) -> Group:
+        """Puts some series together, for the mean of their rates."""
+        counts = np.stack([self.series[key][:, 1:] for key in keys])
+        return Group(counts, sample, [[repeat_of(key.camouflage)] for key in keys], of)
 
     def of(self, renderer: str, match: str) -> "OutcomeCounts":
         """Gives the series of one renderer and match rule, on the cells that they show."""

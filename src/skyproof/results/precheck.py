@@ -115,10 +115,7 @@ class MeasuredOn:
 
 @dataclass(frozen=True)
 class PrecheckRecord:
-    """The precheck of one detector; `sets` are the unchanged scenes, then each annotated set.
-
-    The digest of the weights is empty for a black box.
-    """
+    """The precheck of one detector; `sets` are the unchanged scenes, then each annotated set."""
 
     detector: str
     weights_sha256: str
@@ -166,10 +163,7 @@ def read_precheck(folder: Path) -> PrecheckRecord:
 
 
 def read_prechecks(detectors: Path) -> dict[str, PrecheckRecord]:
-    """Reads the records of all detector folders in a folder, by detector.
-
-    A record of other weights or another threshold than the card beside it is left out.
-    """
+    """Reads all records in a folder of detectors, except those of other weights or thresholds."""
     records = {}
     for path in sorted(detectors.glob(f"*/{PRECHECK_FILE}")):
         record = read_precheck(path.parent)

@@ -2,7 +2,7 @@
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from skyproof.camouflage.name import CamouflageName
-from skyproof.results.outcomes import MATCHES, ORIGINAL, Match, OutcomeCounts, Series, repeat_of
+from skyproof.results.outcomes import MATCHES, ORIGINAL, Match, OutcomeCounts, Series
 from skyproof.results.rows_file import interval_columns, nulls_for_undefined
 from skyproof.results.score_folder import SetScore
 from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
@@ -165,7 +165,7 @@ def summarise(
     rows: list[Result] = []
     scores = {Series(s.camouflage, s.renderer, s.detector, s.match): s for s in sets}
     for match in MATCHES:
-        for renderer in _unique(key.renderer for key in counts.series if key.match == match):
+        for renderer in dict.fromkeys(key.renderer for key in counts.series if key.match == match):
             here = counts.of(renderer, match)
             sample = Sample.draw(here.cells, generator=generator)
             rows.extend(_Table(here, scores, sample).rows())
@@ -197,14 +197,14 @@ class _Table:
     def __init__(
         self, counts: OutcomeCounts, scores: Mapping[Series, SetScore], sample: Sample
     ) -> None:
-        self.cells = counts.cells
+        self.counts = counts
         self.sample = sample
         self.scores = scores
         self.key = next(iter(counts.series))
         self.series = {(key.camouflage, key.detector): each for key, each in counts.series.items()}
-        self.detectors = _unique(detector for _, detector in self.series)
+        self.detectors = dict.fromkeys(detector for _, detector in self.series)
         self.repeats: dict[CamouflageName, list[str]] = defaultdict(list)
-        for camouflage in _unique(name for name, _ in self.series):
+        for camouflage in dict.fromkeys(name for name, _ in self.series):
             self.repeats[CamouflageName.read(camouflage).pooled].append(camouflage)
         self._groups: dict[tuple[tuple[str, ...], tuple[str, ...]], Group] = {}
 
@@ -238,7 +238,9 @@ class _Table:
             detector=label,
             match=self.key.match,
             vehicles=int(in_sight.sum()),
-            clusters=len({tile for (tile, _), n in zip(self.cells, in_sight, strict=True) if n}),
+            clusters=len(
+                {tile for (tile, _), n in zip(self.counts.cells, in_sight, strict=True) if n}
+            ),
             repeats=len(members),
             easr=mean_interval(group),
             asr=mean_interval(group, rate=attack_success_rate, limits=(0.0, 1.0)),
@@ -266,10 +268,12 @@ class _Table:
         """Puts series together, once for all results in which they stand."""
         wanted = (tuple(camouflages), tuple(detectors))
         if wanted not in self._groups:
-            keys = [(camouflage, d) for camouflage in camouflages for d in detectors]
-            counts = np.stack([self.series[key][:, 1:] for key in keys])
-            repeats = [[repeat_of(camouflage)] for camouflage, _ in keys]
-            self._groups[wanted] = Group(counts, self.sample, repeats)
+            keys = [
+                self.key._replace(camouflage=camouflage, detector=detector)
+                for camouflage in camouflages
+                for detector in detectors
+            ]
+            self._groups[wanted] = self.counts.group(keys, self.sample)
         return self._groups[wanted]
 
     def _mean(self, camouflages: list[str], detectors: list[str], field: str) -> float:
@@ -302,10 +306,7 @@ class _Contrasts:
         return Contrast(control, group.rate, len(drawn), net, self._p(drawn))
 
     def strongest(self, controls: Sequence[CamouflageName]) -> Contrast | None:
-        """Sets it beside the strongest of some controls, with the limit and p that hold for all.
-
-        An undefined rate stays undefined.
-        """
+        """Sets it beside the strongest of some controls, with the limit and p that hold for all."""
         found = [each for each in map(self.contrast, controls) if each is not None]
         if not found:
             return None
@@ -330,7 +331,3 @@ class _Contrasts:
         counts = self.table.group([camouflage], self.detectors).counts
         tiles = self.table.sample.by_tile(counts)
         return np.sum((tiles[..., 1] - tiles[..., 2]) / found[:, None], axis=0)
-
-
-def _unique(values: Iterable[str]) -> list[str]:
-    return list(dict.fromkeys(values))

@@ -14,7 +14,7 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.detectors.card import DetectorCard
 from skyproof.files import inside, write_json
 from skyproof.layout import Layout
-from skyproof.results.outcomes import Outcome, OutcomeCounts, Series, read_outcomes, repeat_of
+from skyproof.results.outcomes import Outcome, OutcomeCounts, Series, read_outcomes
 from skyproof.results.precheck import PrecheckRecord, read_prechecks
 from skyproof.results.result import LENIENT_MATCH, MAIN_MATCH, MEAN, Result, summarise
 from skyproof.results.rows_file import flat_row
@@ -178,10 +178,7 @@ class Results:
 
     @cached_property
     def quoted(self) -> list[Result]:
-        """The result to quote of each optimised camouflage and renderer, by the main rule.
-
-        It is the mean over detectors, or that of the only one.
-        """
+        """The mean (or only) result of each optimised camouflage and renderer, by the main rule."""
         # Where there are several detectors, their mean comes last.
         last = {
             (row.camouflage, row.renderer): row
@@ -295,32 +292,24 @@ class Results:
         self, names: set[CamouflageName], detector: str | None, first: str, second: str
     ) -> tuple[Group, Group] | None:
         """Gathers the repeats and detectors that two renderers share."""
-        shared = {
-            key: self.counts.series.get(key._replace(renderer=second))
+        shared = [
+            key
             for key in self.counts.series
             if (key.renderer, key.match) == (first, MAIN_MATCH)
             and detector in (None, MEAN, key.detector)
             and CamouflageName.read(key.camouflage).pooled in names
-        }
-        after = {key: counts[:, 1:] for key, counts in shared.items() if counts is not None}
-        if not after:
+            and key._replace(renderer=second) in self.counts.series
+        ]
+        if not shared:
             return None
-        before = [self.counts.series[key][:, 1:] for key in after]
-        repeats = [[repeat_of(key.camouflage)] for key in after]
-        of = [str(CamouflageName.read(key.camouflage).pooled) for key in after]
-        one, other = (
-            Group(np.stack(counts), self.sample, repeats, of)
-            for counts in (before, [*after.values()])
-        )
-        return one, other
+        of = [str(CamouflageName.read(key.camouflage).pooled) for key in shared]
+        after = [key._replace(renderer=second) for key in shared]
+        return self.counts.group(shared, self.sample, of), self.counts.group(after, self.sample, of)
 
     def _group(self, camouflage: str) -> Group | None:
         keys = [Series(camouflage, RENDERER, detector, MAIN_MATCH) for detector in self.detectors]
-        known = [self.counts.series[key][:, 1:] for key in keys if key in self.counts.series]
-        if len(known) < len(keys):
-            return None
-        repeats = [[repeat_of(camouflage)]] * len(known)
-        return Group(np.stack(known), self.sample, repeats)
+        known = all(key in self.counts.series for key in keys)
+        return self.counts.group(keys, self.sample) if known else None
 
 
 def _merged_baselines(scores: Sequence[ScoreFolder]) -> list[Baseline]:

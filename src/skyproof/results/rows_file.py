@@ -89,10 +89,7 @@ def _document(kind: Any) -> Any:
 
 @cache
 def _fields(kind: Any) -> dict[str, tuple[Any, list[tuple[str, str, Any]]]]:
-    """Per field of a row the dataclass that it holds, if any, and its columns.
-
-    A column has its attribute, name and limits; an interval's limits are those of all its numbers.
-    """
+    """Per field the dataclass that it holds, if any, and its columns: attribute, name, limits."""
     found: dict[str, tuple[Any, list[tuple[str, str, Any]]]] = {}
     for name, hint in limits_of(kind).items():
         # Of `Annotated[Interval, ...]` and of `BestF1 | None`.

@@ -83,11 +83,7 @@ def f1(precision: float, recall: float) -> float:
 
 @dataclass(frozen=True)
 class ScoreRecord:
-    """Contents of `score.json`: thresholds of the detectors, in the order in which they were given.
-
-    The seed is that of the bootstrap. The renderer of compared images is None without any, the
-    sources of their ground are empty if unknown.
-    """
+    """Contents of `score.json`: thresholds in the order of detectors, and the bootstrap's seed."""
 
     thresholds: Mapping[Name, Annotated[float, Meta(ge=-1e6, le=1e6)]]
     seed: Seed = 0

@@ -54,10 +54,7 @@ class Discretisation(Struct, frozen=True):
 
 
 class Convergence(Struct, frozen=True):
-    """EASR after half of an attack's steps and after all, on a number of scenes outside it.
-
-    It is the mean over the detectors; the attack converged if the gain was small.
-    """
+    """Mean EASR over detectors after half of an attack's steps and all, on scenes outside it."""
 
     steps: tuple[WholeNumber, WholeNumber]
     hidden: tuple[Finite, Finite]
@@ -72,11 +69,7 @@ class Queries(Struct, frozen=True):
 
 
 class AttackRecord(Struct, frozen=True):
-    """The record of a camouflage's making, without the parts that its making lacks.
-
-    The attack names its detectors, and the sign test the effects of a few random paints by
-    detector.
-    """
+    """The record of a camouflage's making; the sign test has the effects of random paints."""
 
     attack: _Attack | None = None
     convergence: Convergence | None = None
@@ -96,11 +89,7 @@ class _Signs(Struct, frozen=True):
 
 
 class Practicality(Struct, frozen=True):
-    """One row of `practicality.json`: the effort of making a camouflage.
-
-    `score` holds the signs of texture and shape, and their total. Texture and shape have measured
-    quantities, and are None if unchanged.
-    """
+    """One row of `practicality.json`: the effort of making a texture and a shape, if changed."""
 
     name: Name
     score: _Signs

@@ -1,7 +1,4 @@
-"""The worst case: the vehicles that at least one of several attacks hides.
-
-An attacker picks the camouflage that works on the vehicle.
-"""
+"""The worst case: the vehicles that at least one of several attacks hides."""
 
 from __future__ import annotations
 

@@ -55,10 +55,7 @@ class DecisionChances:
 
 
 def tiles_needed(half_width: float, assumptions: Assumptions) -> int | None:
-    """Gives the fewest tiles whose 95 % interval of EASR is expected to be ± `half_width` or less.
-
-    None where no number of tiles is enough, because the fleet is too small.
-    """
+    """Gives the fewest tiles for an interval of ± `half_width`; None if the fleet is too small."""
 
     def enough(tiles: int) -> bool:
         return expected_half_width(tiles, assumptions) <= half_width
