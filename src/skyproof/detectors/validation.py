@@ -15,8 +15,8 @@ from skyproof.errors import ConfigurationError
 
 # Validation images cannot tell thresholds apart if their F1 differs by no more than this.
 _FLAT_F1 = 0.01
-# Made by torch, not NumPy: at a recall of exactly 0.6 the last bit decides.
-_LEVELS = torch.linspace(0, 1, 101, dtype=torch.float64).numpy()
+# Made as COCO makes them: at a recall of exactly 0.7 the last bit decides.
+_LEVELS = np.linspace(0, 1, 101)
 
 
 class PrecisionRecall(NamedTuple):
