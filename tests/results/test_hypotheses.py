@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from skyproof.results.statistics.hypotheses import control_p, holm, mcnemar_p, unchanged_p
+from skyproof.results.statistics.contrasts import control_p, holm, mcnemar_p, unchanged_p
 
 
 @pytest.mark.parametrize(("lost", "gained"), [(0, 0), (1, 0), (5, 5), (12, 3), (3, 12), (60, 2)])

@@ -1,8 +1,4 @@
-"""Pairs detections with vehicles: one matcher for average precision and for success rates.
-
-A set of images is matched once for each rule; average precision, recall, false alarms and outcomes
-are all read from that one table.
-"""
+"""Pairs detections with vehicles: one matcher for average precision and for success rates."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

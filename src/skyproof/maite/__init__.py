@@ -5,8 +5,7 @@ augmentations and metrics; see docs/maite.md. Its protocols are structural, so t
 the library only for its own `evaluate`.
 """
 
-from skyproof.maite.augmentation import CamouflageAugmentation
-from skyproof.maite.datasets import Target, VehicleDataset
+from skyproof.maite.datasets import CamouflageAugmentation, Target, VehicleDataset
 from skyproof.maite.metric import HiddenVehicles
 from skyproof.maite.models import DetectorModel, ModelDetector
 

@@ -7,14 +7,20 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.results.outcomes import MATCHES, ORIGINAL, Match, OutcomeCounts, Series
 from skyproof.results.rows_file import interval_columns, nulls_for_undefined
 from skyproof.results.score_folder import SetScore
-from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
-from skyproof.results.statistics.hypotheses import control_p, holm, unchanged_p
+from skyproof.results.statistics.contrasts import (
+    Group,
+    control_p,
+    difference_interval,
+    holm,
+    mean_interval,
+    unchanged_p,
+)
 from skyproof.results.statistics.intervals import (
     UNDEFINED,
     Interval,
@@ -226,7 +232,6 @@ class _Table:
         totals = group.counts.sum(axis=1)
         of_repeats = overall_attack_success_rate(totals).reshape(len(members), -1).mean(axis=1)
         several = len(of_repeats) > 1
-        beside = _Contrasts(self, members, detectors, group)
         ap, alarms = "average_precision", "false_alarms_per_km2"
         ap_original = self._mean([ORIGINAL], detectors, ap)
         ap_adversarial = self._mean(members, detectors, ap)
@@ -253,13 +258,13 @@ class _Table:
             apd=ap_original - ap_adversarial,
             false_alarms_per_km2_original=self._mean([ORIGINAL], detectors, alarms),
             false_alarms_per_km2_adversarial=self._mean(members, detectors, alarms),
-            random=None if name.random else beside.contrast(name.control),
-            strongest=None if name.random else beside.strongest(name.chosen_controls),
-            drawn_shape=None if shape is None else beside.contrast(shape),
+            random=None if name.random else self._contrast(members, detectors, name.control),
+            strongest=None if name.random else self._strongest(members, detectors, name),
+            drawn_shape=None if shape is None else self._contrast(members, detectors, shape),
             no_camouflage_p=None if untested else unchanged_p(totals),
         )
 
-    def drawn(self, control: CamouflageName, detectors: list[str]) -> list[str]:
+    def _drawn(self, control: CamouflageName, detectors: list[str]) -> list[str]:
         """Lists the repeats of a control that were scored with all of these detectors."""
         repeats = self.repeats.get(control, [])
         return [draw for draw in repeats if all((draw, d) in self.series for d in detectors)]
@@ -286,48 +291,41 @@ class _Table:
         values = [math.nan if score is None else getattr(score, field) for score in known]
         return float(np.mean(values))
 
-
-@dataclass(frozen=True)
-class _Contrasts:
-    """One camouflage, to be set beside its controls."""
-
-    table: _Table
-    members: list[str]
-    detectors: list[str]
-    group: Group
-
-    def contrast(self, control: CamouflageName) -> Contrast | None:
-        """Sets it beside all draws of one control; None where none was scored."""
-        drawn = self.table.drawn(control, self.detectors)
+    def _contrast(
+        self, members: list[str], detectors: list[str], control: CamouflageName
+    ) -> Contrast | None:
+        """Sets a camouflage beside all draws of one control; None where none was scored."""
+        drawn = self._drawn(control, detectors)
         if not drawn:
             return None
-        group = self.table.group(drawn, self.detectors)
-        net = difference_interval([self.group], [group])
-        return Contrast(control, group.rate, len(drawn), net, self._p(drawn))
+        group = self.group(drawn, detectors)
+        net = difference_interval([self.group(members, detectors)], [group])
+        p = self._p(members, detectors, drawn)
+        return Contrast(control, group.rate, len(drawn), net, p)
 
-    def strongest(self, controls: Sequence[CamouflageName]) -> Contrast | None:
-        """Sets it beside the strongest of some controls, with the limit and p that hold for all."""
-        found = [each for each in map(self.contrast, controls) if each is not None]
+    def _strongest(
+        self, members: list[str], detectors: list[str], name: CamouflageName
+    ) -> Contrast | None:
+        """Sets it beside the strongest chosen control, with the limit and p that hold for all."""
+        every = [self._contrast(members, detectors, control) for control in name.chosen_controls]
+        found = [each for each in every if each is not None]
         if not found:
             return None
         best = max(found, key=lambda each: each.easr)
         low = float(np.min([each.net.low for each in found]))
-        every = [draw for each in found for draw in self.table.drawn(each.control, self.detectors)]
-        return replace(best, net=replace(best.net, low=low), p=self._p(every))
+        draws = [draw for each in found for draw in self._drawn(each.control, detectors)]
+        p = self._p(members, detectors, draws)
+        return replace(best, net=replace(best.net, low=low), p=p)
 
-    def _p(self, drawn: list[str]) -> float | None:
+    def _p(self, members: list[str], detectors: list[str], drawn: list[str]) -> float | None:
         """Tests optimised against drawn; None where a detector found no vehicle before."""
-        found = self.group.counts[: len(self.detectors), :, :2].sum(axis=(1, 2))
+        found = self.group(members, detectors).counts[: len(detectors), :, :2].sum(axis=(1, 2))
         if not all(found):
             return None
-        optimised, control = (
-            np.stack([self._hidden(camouflage, found) for camouflage in camouflages])
-            for camouflages in (self.members, drawn)
-        )
-        return control_p(optimised, control)
 
-    def _hidden(self, camouflage: str, found: Int[np.ndarray, " D"]) -> Float[np.ndarray, " C"]:
-        """Gives lost minus gained per tile, over what each detector found before."""
-        counts = self.table.group([camouflage], self.detectors).counts
-        tiles = self.table.sample.by_tile(counts)
-        return np.sum((tiles[..., 1] - tiles[..., 2]) / found[:, None], axis=0)
+        def hidden(camouflage: str) -> Float[np.ndarray, " C"]:
+            """Gives lost minus gained per tile, over what each detector found before."""
+            tiles = self.sample.by_tile(self.group([camouflage], detectors).counts)
+            return np.sum((tiles[..., 1] - tiles[..., 2]) / found[:, None], axis=0)
+
+        return control_p(np.stack([*map(hidden, members)]), np.stack([*map(hidden, drawn)]))

@@ -108,11 +108,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class SetScore:
-    """One detector on one whole set of images; a row of `sets.json`.
-
-    The camouflage of the unchanged images is "original". The two numbers are nan where undefined,
-    and false alarms are counted at the frozen threshold.
-    """
+    """One detector on one whole set of images, or "original"; a row of `sets.json`."""
 
     camouflage: Name
     renderer: Name
@@ -240,16 +236,12 @@ def _merge_sets(folders: Sequence[ScoreFolder]) -> list[SetScore]:
         for score in folder.sets():
             key = Series(score.camouflage, score.renderer, score.detector, score.match)
             first, other = kept.setdefault(key, (folder, score))
-            same = _same(score.average_precision, other.average_precision)
-            if not same or not _same(score.false_alarms_per_km2, other.false_alarms_per_km2):
+            here, there = (
+                (each.average_precision, each.false_alarms_per_km2) for each in (score, other)
+            )
+            if not np.allclose(here, there, rtol=1e-9, atol=1e-12, equal_nan=True):
                 raise _contradiction(first, folder, key)
     return [score for _, score in kept.values()]
-
-
-def _same(one: float, other: float) -> bool:
-    return (math.isnan(one) and math.isnan(other)) or math.isclose(
-        one, other, rel_tol=1e-9, abs_tol=1e-12
-    )
 
 
 def _contradiction(first: ScoreFolder, second: ScoreFolder, key: Series) -> ConfigurationError:

@@ -112,10 +112,7 @@ def decide(
     attacks: Mapping[str, tuple[Int[np.ndarray, " C"], Int[np.ndarray, " C"]]],
     requirement: Requirement,
 ) -> Decision:
-    """Decides on a detector from the vehicles found before and lost per tile, by attack.
-
-    Tiles without a found vehicle are passed over.
-    """
+    """Decides from vehicles found before and lost per tile, by attack; tiles without any pass."""
     if not attacks or not all(int(found.sum()) for found, _ in attacks.values()):
         raise ConfigurationError(
             "A verdict expects at least one attack and vehicles that are found without it, got "

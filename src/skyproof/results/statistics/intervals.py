@@ -100,10 +100,7 @@ def resampled(
 
 @dataclass(frozen=True)
 class Sample:
-    """The N cells of a test, each one vehicle of the fleet on one tile; neither nests in the other.
-
-    Tiles and vehicles have numbers from 0 without gaps; `weights` are of `resample`.
-    """
+    """The N cells of a test, one vehicle on one tile each, numbered from 0 without gaps."""
 
     tile: Int[np.ndarray, " N"]
     vehicle: Int[np.ndarray, " N"]

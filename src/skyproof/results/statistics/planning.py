@@ -1,8 +1,4 @@
-"""Planned tests: widths of intervals, chances of a decision, and the tiles that either takes.
-
-`skyproof.results.statistics.acceptance` decides a real test without assumptions. A plan assumes an
-intra-tile correlation.
-"""
+"""Planned tests: widths of intervals, chances of a decision, and the tiles that either takes."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
