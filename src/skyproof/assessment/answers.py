@@ -92,8 +92,7 @@ def say_verdict(layout: Layout) -> None:
 def say_expected(layout: Layout, suite: Suite) -> None:
     """Compares the rows of a reference detector with the suite's, and stores the comparison.
 
-    A detector must not pass because the attacks were weak on this machine. Other detectors, and
-    runs on other ground or with another seed than 0, have no expected numbers.
+    A detector must not pass because the attacks were weak here. Others have no expected numbers.
     """
     compared = []
     for row in _read(layout).of(suite.attacks, MAIN_MATCH).values():

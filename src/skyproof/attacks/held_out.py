@@ -37,8 +37,7 @@ class Hidden(NamedTuple):
 class HeldOut:
     """Eight batches of an attack's scenes, one vehicle each, that no step of it sees.
 
-    They share ground and vehicles with the attack, so they guide it and are no result. Detectors
-    are on the device to work on, `batch_size` may exceed the attack's.
+    They share its ground and vehicles, so they are no result. `batch_size` may exceed its.
     """
 
     detectors: Sequence[Detector]

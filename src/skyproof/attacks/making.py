@@ -176,9 +176,8 @@ def sign_test(
 ) -> dict[str, dict[str, Any]]:
     """Takes one step of the attack's own optimiser, and compares the scores on the step's vehicles.
 
-    Every one of the `balance_batches` starts from the given camouflage, which is not changed, on
-    scenes that no step of the attack sees. "p" is the one-sided exact chance of so many fallen
-    scores (binomial; unchanged scores have not fallen).
+    Each of the `balance_batches` begins anew, on scenes of no step. "p" is the one-sided exact
+    chance of so many fallen scores (binomial; unchanged scores have not fallen).
     """
     before: dict[str, list[Tensor]] = {detector.name: [] for detector in detectors}
     after: dict[str, list[Tensor]] = {detector.name: [] for detector in detectors}

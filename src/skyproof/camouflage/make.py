@@ -126,11 +126,7 @@ def draw_control(name: CamouflageName, *, seed: int, **given: Any) -> Camouflage
 def make_candidates(
     name: CamouflageName, draws: int, *, seed: int, **given: Any
 ) -> list[Camouflage]:
-    """Makes the candidates of a chosen control.
-
-    R-Ma_plain has 27 paints under its mask, R-S-O@0.4_plain every vertex out under the own paint,
-    R-C-Ma@0.2_plain both, R-PixFc_best the first draws of R-PixFc.
-    """
+    """Candidates of a chosen control: 27 paints and an even shape, or first random draws."""
     if name.choice == "best":
         names = [name.base.with_repeat(draw) for draw in range(draws)]
         return [draw_control(each, seed=seed, **given) for each in names]

@@ -31,11 +31,7 @@ _WIDEST_HUE = 20.0
 
 
 def wear_random_controls(fleet: Fleet, *, generator: torch.Generator) -> Fleet:
-    """Gives vehicles the patterns and shapes that their sources mark, each its own; no attack.
-
-    A "patterned" coat is the random control of one of twelve textures (section 5.4), a "random"
-    shape that of R-S-O.
-    """
+    """Gives vehicles that are marked so random controls (section 5.4) of textures and of R-S-O."""
     patterned = _rows(fleet, "coat", "patterned")
     shaped = _rows(fleet, "shape", "random")
     if patterned:

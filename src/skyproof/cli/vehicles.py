@@ -135,10 +135,7 @@ def draw_fleets(
     seed: int,
     sample: Callable[..., Fleet],
 ) -> None:
-    """Writes the four fleets train, validation, attack and test; all of them or nothing.
-
-    Attack and test have catalogue paints and their own shapes.
-    """
+    """Writes the four fleets, or nothing; attack and test have catalogue paints and own shapes."""
     from skyproof.camouflage.random_controls import wear_random_controls
     from skyproof.randomness import generator_of
 

@@ -1,7 +1,4 @@
-"""Do our results and the paper's, or two renderers', order the attacks alike?
-
-Rank correlations over the attacks of table 2 answer that, and the ranks themselves.
-"""
+"""Rank correlations: do our results and the paper's, or two renderers', order attacks alike?"""
 
 import math
 import re
@@ -37,10 +34,7 @@ _SETS: dict[str, Callable[[str], bool]] = {
 def successes(
     results: Results, names: Iterable[str], renderer: str, *, paired: bool = False
 ) -> Successes:
-    """Gives the EASR of attacks, mean over repeats and detectors, and in resamples of the tiles.
-
-    With `paired`, only repeats that were scored under both renderers count.
-    """
+    """EASR of attacks, mean over repeats (`paired`: of both renderers) and detectors, resampled."""
     wanted = {*names}
     every = results.counts.series
     series: dict[str, list[np.ndarray]] = {}
@@ -61,10 +55,9 @@ def successes(
 def correlated(
     compared: str, label: str, names: Iterable[str], ours: Successes, theirs: Successes
 ) -> list[dict[str, Any]]:
-    """Gives the row of the rank correlations between two orders of attacks.
+    """The row of rank correlations between two orders of attacks; none without enough of them.
 
-    None for fewer than three attacks, or if an EASR is undefined; replicates in which one is
-    undefined are left out.
+    Replicates in which an EASR is undefined are left out.
     """
     shared = [name for name in names if name in ours and name in theirs]
     if len(shared) < _FEWEST:

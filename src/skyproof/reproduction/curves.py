@@ -36,16 +36,9 @@ _ASIDE = {"Fc": -0.012, "PixFc": 0.012}
 
 @dataclass(frozen=True)
 class Point:
-    """One perturbation magnitude of a family.
+    """One magnitude of a family, with the share of replicates in which its P1 is the largest."""
 
-    Attributes:
-        perturbation_magnitude: PM in [0, 1]; 0 is the family without its shape change.
-        easr: mean over repeats and detectors with its interval.
-        p1: of `easr` and practicality Pr = 1 − PM.
-        share_best: in how many of the replicates, over tiles, this magnitude has the largest P1.
-    """
-
-    perturbation_magnitude: float
+    perturbation_magnitude: float  # PM in [0, 1]; 0 is the family without its shape change
     easr: Interval
     p1: float
     share_best: float
@@ -58,10 +51,7 @@ class Point:
 
 @dataclass(frozen=True)
 class PracticalityCurve:
-    """EASR against practicality of one family, such as "S-O" or "C-Fc-seq", by rising magnitude.
-
-    The best point is at PM*, the magnitude of the largest P1; the smallest of equals.
-    """
+    """EASR by rising magnitude of a family such as "C-Fc-seq"; best at PM*, of largest P1."""
 
     points: Sequence[Point]
     best: Point
@@ -70,10 +60,7 @@ class PracticalityCurve:
 def p1_score(
     easr: Float[np.ndarray, "*shape"], practicality: float | Float[np.ndarray, "*shape"]
 ) -> Float[np.ndarray, "*shape"]:
-    """Gives P1 = 2 · EASR · Pr / (EASR + Pr), the harmonic mean; 0 where EASR ≤ 0 or Pr = 0.
-
-    nan stays nan.
-    """
+    """P1 = 2 · EASR · Pr / (EASR + Pr), the harmonic mean; 0 where EASR ≤ 0 or Pr = 0."""
     positive = np.where(easr > 0, easr, 0.0)
     total = positive + practicality
     score = np.divide(2 * positive * practicality, total, out=np.zeros_like(total), where=total > 0)
@@ -83,12 +70,8 @@ def p1_score(
 def practicality_curves(tiles: OutcomeCounts) -> dict[str, PracticalityCurve]:
     """Gives the curve of every family: names with a magnitude ("S-O@0.4"), S-O first.
 
-    Controls and variants have none. Repeats and detectors are averaged; all magnitudes on the same
-    tiles and vehicles. Magnitude 0 is the texture by itself: "T-Fc" for "C-Fc-seq". For "S-O" it is
-    the vehicle as it was, whose EASR is 0 by definition.
-
-    Raises:
-        ConfigurationError: a detector scored only some magnitudes of a family.
+    Repeats and detectors are averaged, all magnitudes on the same tiles and vehicles. Magnitude 0
+    is the texture by itself: "T-Fc" for "C-Fc-seq". For "S-O" it is the vehicle as it was, EASR 0.
     """
     names = [CamouflageName.read(key.camouflage) for key in tiles.series]
     families = dict.fromkeys(
@@ -155,10 +138,7 @@ def _magnitudes(
 
 
 def _shares_best(scores: Float[np.ndarray, "M R"]) -> list[float]:
-    """Gives per magnitude the share of replicates in which its score is the largest.
-
-    Of equal scores the first wins.
-    """
+    """The share of replicates in which each score is the largest; of equals the first wins."""
     scores = scores[:, ~np.isnan(scores).any(axis=0)]
     if scores.shape[1] == 0:
         return [math.nan] * len(scores)

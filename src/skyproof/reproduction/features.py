@@ -1,8 +1,7 @@
 """Where camouflaged vehicles lie among a detector's features: with the ground, or with vehicles?
 
-Differences from the paper (section S7, figure S8): every detector that shows its features and not
-RetinaNet alone; random and plainly painted vehicles beside the learnt camouflage; and numbers that
-are measured on all features, since a picture of two dimensions can show whatever one likes.
+Differences from the paper (section S7, figure S8): other detectors than RetinaNet, random and
+plainly painted vehicles, and numbers of all features, since two dimensions show what one likes.
 """
 
 import itertools
@@ -56,11 +55,7 @@ _FEWEST = 10
 
 
 def features_part(run: Reproduction) -> Topic:
-    """Gives the numbers by detector and class, the points of the pictures, and what they show.
-
-    Raises:
-        StoredFileError: the table of features is damaged.
-    """
+    """Gives the numbers by detector and class, the points of the pictures, and what they show."""
     numbers: list[dict[str, Any]] = []
     points: list[dict[str, Any]] = []
     every = {
@@ -94,13 +89,9 @@ def _pooled(shown: str) -> str:
 def embed(classes: Mapping[str, Features]) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Measures and draws the features of several classes, ground and original vehicles first.
 
-    Every feature is scaled to variance 1. Class means are those of other tiles: boxes are held out
-    tile by tile in five parts, so that neighbours on one tile, and one vehicle with two
-    camouflages, are never on both sides.
-
-    Returns:
-        A row of numbers for each class and one for all, and a row for each box with its places in
-        the planes of PCA and t-SNE.
+    Every feature is scaled to variance 1. Class means are those of other tiles, in five parts, so
+    that neighbours and one vehicle with two camouflages are never on both sides. Gives a row for
+    each class and one for all, and a row for each box with its places by PCA and t-SNE.
     """
     from sklearn.decomposition import PCA
     from sklearn.manifold import TSNE

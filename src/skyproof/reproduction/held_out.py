@@ -1,8 +1,4 @@
-"""Held-out detectors: no attack used them (section S5.4).
-
-The counterpart of the paper's figures S2 and S3, above all for detectors that learnt from
-photographs.
-"""
+"""Detectors that no attack used (section S5.4), as in the paper's figures S2 and S3."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -70,11 +66,7 @@ def detectors_and_mean(results: Results) -> list[str]:
 
 
 def held_out_rows(run: Reproduction, table: str) -> list[dict[str, Any]]:
-    """Gives per attack and detector of a table the rates under every renderer, in percent.
-
-    Textures come first, then shapes and combinations at the PM* that they have in the run, then
-    random textures.
-    """
+    """Gives per attack and detector of a table the rates under every renderer, in percent."""
     results = run.held_out[table]
     scored = set(map(str, results.names))
     learnt = [name for name in run.names if name.startswith("T-") and "_" not in name]

@@ -1,7 +1,4 @@
-"""What camouflages look like: the colours that textures end with, and figures of what is tested.
-
-Where the colours lie in the RGB cube is of section S7.
-"""
+"""What camouflages look like: colours in the RGB cube (section S7), and figures of the test."""
 
 import math
 import textwrap

@@ -46,10 +46,7 @@ _TEMPLATES = jinja2.Environment(
 
 
 def write_reproduction_report(out: Path) -> None:
-    """Writes the report of a run folder with the paper's tables in it, and `tables/` beside it.
-
-    Without enough of the paper's attacks it is the report of any run, and there are no tables.
-    """
+    """Writes a run's report, with the paper's tables beside it where its attacks were scored."""
     results = Results.open(out)
     run = Reproduction(results)
     layout = run.layout

@@ -41,10 +41,7 @@ _LARGEST = 1e9
 
 
 def shell_line(step: Step, config: Mapping[str, Any]) -> Callable[[object], str]:
-    """Returns the shell's words for a step in a process of its own, every one quoted.
-
-    It is a function, because Snakemake looks for wildcards in text, and a path may have braces.
-    """
+    """A step's shell words, quoted; as a function, as Snakemake takes braces for wildcards."""
     words = [sys.executable, "-m", "skyproof.reproduction", "step", step.id]
     line = shlex.join([*words, *(f"--{name}={value}" for name, value in config.items())])
     return lambda wildcards: line

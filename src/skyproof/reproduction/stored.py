@@ -130,11 +130,10 @@ class Strip(Struct, frozen=True):
 
 
 class Looks(Struct, frozen=True, omit_defaults=True):
-    """All that is measured of what camouflages look like.
+    """All that is measured of camouflages; repeats and draws have rows of their own.
 
-    Repeats and draws have rows of their own. Samples are the same scenes without vehicles, with
-    them, and with camouflages; sensor the same vehicles by the renderer's steps towards a
-    photograph.
+    Samples are the same scenes without vehicles, with them, and with camouflages; sensor the same
+    vehicles by the renderer's steps towards a photograph.
     """
 
     vehicles: WholeNumber

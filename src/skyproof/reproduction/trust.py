@@ -1,7 +1,4 @@
-"""Can the attacks be trusted? Tests, gradients, the strength ladder, convergence and rounding.
-
-And what they hide by other rules of what is found, beside the detectors' false alarms.
-"""
+"""Can the attacks be trusted? Tests, gradients, strength, convergence, rounding, other rules."""
 
 import itertools
 import math
@@ -269,10 +266,7 @@ def _gap(rows: Sequence[Mapping[str, Any]]) -> list[Block]:
 
 
 def criteria_part(run: Reproduction) -> Topic:
-    """Gives every learnt camouflage's EASR by each rule, and the false alarms, mean of detectors.
-
-    Attacks that end on the way or see some detectors only are left out.
-    """
+    """Gives every whole attack's EASR by each rule, and the false alarms, mean of detectors."""
     rows: list[dict[str, Any]] = []
     for camouflage in run.results.names:
         centre = run.results.row(camouflage)

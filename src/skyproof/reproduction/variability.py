@@ -128,10 +128,9 @@ def _mean(row: Mapping[str, Any], key: str, digits: int) -> str:
 
 
 def _agreement(run: Reproduction, names: Collection[str]) -> Interval | None:
-    """Correlates which vehicles two starts hide, mean over pairs and detectors.
+    """Correlates which vehicles two starts hide, mean over pairs and detectors, tiles resampled.
 
-    Vehicles on one tile that are one of the fleet count together, by the share of them hidden. The
-    95 % interval is over resampled tiles. None where a start was not scored.
+    Vehicles on one tile that are one of the fleet count together, by the share of them hidden.
     """
     by_detector = defaultdict(list)
     for key, counts in run.results.counts.series.items():

@@ -1,7 +1,6 @@
 """Success in each weather, of textures optimised on clear days and in all weathers.
 
-Differences from the paper (section S7): it optimises in weather to see what becomes of a texture's
-colours; here success is compared, too.
+Differences from the paper (section S7): success is compared, beside the colours of textures.
 """
 
 from collections import defaultdict
@@ -34,12 +33,7 @@ _SERIES = (
 
 
 def weather_part(run: Reproduction) -> Topic:
-    """Gives success by weather, detector by detector and on average.
-
-    Raises:
-        StoredFileError: a file of the scores in weather is damaged.
-        ConfigurationError: they do not belong together.
-    """
+    """Gives success by weather, detector by detector and on average."""
     place = run.layout.weather
     if not place.scores.exists():
         return Topic()
