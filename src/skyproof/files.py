@@ -27,8 +27,7 @@ def write_beside(path: Path) -> Iterator[Path]:
     """Yields a temporary path beside `path`, which becomes `path` if the block ends well.
 
     The file is on the disk before it gets its name, so that not even a power cut leaves an empty
-    one. If the block fails, the temporary file is removed. A full disk, or one that cannot be
-    written, is a RunFolderError that names `path` and the remedy.
+    one. A disk that is full or cannot be written is a RunFolderError with the remedy.
     """
     path = Path(path)
     # The suffix is kept last, because libraries choose a format by it.
@@ -60,9 +59,8 @@ def new_file(path: Path) -> Iterator[None]:
 def finished_folder(path: Path) -> Iterator[Path]:
     """Yields a fresh folder `.<name>.partial`, which becomes `path` if the block ends well.
 
-    Only a folder under its final name counts as finished, and by then all of it is on the disk. If
-    the block fails, its files are removed, so that a full disk has room again; the next try removes
-    the leftovers of a kill.
+    By then all of it is on the disk. If the block fails, its files are removed, so that a full disk
+    has room again; the next try removes the leftovers of a kill.
     """
     path = _place(path)
     # The name is hidden, so that it cannot be a folder of the user.

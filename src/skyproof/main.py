@@ -49,15 +49,11 @@ _FREE_SPACE = "free space, then give the same command again"
 _IN_THE_WAY = "move away what is in its place, or choose another"
 _FORBIDDEN = "make it accessible, or choose another"
 _REMEDIES = {
-    errno.ENOSPC: _FREE_SPACE,
-    errno.EDQUOT: _FREE_SPACE,
-    errno.EFBIG: _FREE_SPACE,
+    **dict.fromkeys((errno.ENOSPC, errno.EDQUOT, errno.EFBIG), _FREE_SPACE),
+    **dict.fromkeys((errno.EACCES, errno.EPERM), _FORBIDDEN),
+    **dict.fromkeys((errno.EEXIST, errno.ENOTDIR), _IN_THE_WAY),
     errno.EROFS: "choose a place that can be written",
-    errno.EACCES: _FORBIDDEN,
-    errno.EPERM: _FORBIDDEN,
     errno.ENOENT: "check the path",
-    errno.EEXIST: _IN_THE_WAY,
-    errno.ENOTDIR: _IN_THE_WAY,
     errno.ENAMETOOLONG: "choose a shorter name",
     errno.EISDIR: "give a file, not a folder",
     errno.ELOOP: "check where its links lead",

@@ -56,19 +56,14 @@ class Suite:
     Attributes:
         attacks: optimised camouflages; a texture stands before the shape on it.
         settings: settings of all attacks, except for the steps.
-        draws: number of draws of every random control.
-        best_of: number of random draws of a best-of-N control.
-        queries: budget of query attacks on a black-box detector.
         compared: attacks that are repeated as query attacks on a single detector with gradients; a
             stronger query attack shows that the gradients mislead.
         attack_m: side of the images in attacks, in metres.
         image_m: side of the test images, in metres.
         test_images: number of test images, each with 1 to 5 vehicles.
         tiles: number of drawn tiles per split (train, validation, attack, test), without imagery.
-        vehicles: number of vehicles per split.
         check_scenes: number of test scenes of the precheck; with 0 the stored precheck of the
             detector folder is used.
-        check_draws: number of draws of every random control in the precheck.
         expected: EASR by reference detector and attack on drawn ground with seed 0.
     """
 

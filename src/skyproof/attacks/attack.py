@@ -105,7 +105,10 @@ def attack(
         held_out = None
     else:
         optimiser = make_optimiser(camouflage, settings)
-        schedule = LambdaLR(optimiser, lambda step: _half_cosine(step / settings.steps))
+        # Half a cosine takes the learning rate to a tenth.
+        schedule = LambdaLR(
+            optimiser, lambda step: 0.55 + 0.45 * math.cos(math.pi * (step / settings.steps))
+        )
         parts |= {"optimiser": optimiser, "schedule": schedule}
     loop = Loop(
         folder,
@@ -279,11 +282,6 @@ def descend(
     images.backward(gradient)
     optimiser.step()
     camouflage.project_()
-
-
-def _half_cosine(share: float) -> float:
-    """The share of the learning rate that is left after a share of the steps: 1 to a tenth."""
-    return 0.55 + 0.45 * math.cos(math.pi * share)
 
 
 @torch.no_grad()

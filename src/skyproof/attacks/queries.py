@@ -1,9 +1,8 @@
 """Query attacks: they use a detector's detections alone, without loss or gradient.
 
-They start at a camouflage that was optimised on other detectors. An evolution strategy (CMA-ES;
-Hansen, "The CMA evolution strategy: a tutorial", 2016) moves free colours and shapes. Blocks of few
-colours take random changes, and keep those that help. The control of either is a random search from
-a random draw.
+An evolution strategy (CMA-ES; Hansen, "The CMA evolution strategy: a tutorial", 2016) moves free
+colours and shapes that were optimised on other detectors. Blocks of few colours, and controls from
+a random draw, take random changes, and keep those that help.
 """
 
 import copy

@@ -176,7 +176,9 @@ def _ruling(name: str, decision: Decision, results: Results, requirement: Requir
             f"{shown} is REJECTED: {lost}, significantly more than {percent(requirement.accept)}."
         ]
     else:
-        more = _more_vehicles(decision.more_tiles, results)
+        in_sight = next(iter(results.counts.series.values()))[:, 0]
+        tiles, of_all = decision.more_tiles, results.counts.tiles
+        more = None if tiles is None else math.ceil(tiles * in_sight.sum() / of_all)
         enough = (
             "At this rate no number of vehicles would decide."
             if more is None
@@ -199,13 +201,6 @@ def _doubted(ruling: Ruling, requirement: Requirement) -> Ruling:
         *lost,
     ]
     return replace(ruling, answer="undecided", sentences=sentences, more_vehicles=None)
-
-
-def _more_vehicles(more_tiles: int | None, results: Results) -> int | None:
-    if more_tiles is None:
-        return None
-    in_sight = next(iter(results.counts.series.values()))[:, 0]
-    return math.ceil(more_tiles * in_sight.sum() / results.counts.tiles)
 
 
 def _imagery(more_tiles: int, results: Results) -> str:

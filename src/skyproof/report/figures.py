@@ -28,14 +28,8 @@ from skyproof.results.statistics.planning import DecisionChances
 from skyproof.words import detector_name
 
 # Okabe and Ito's colours, safe for colour-blind readers; markers and line styles differ as well.
-BLUE, ORANGE, GREEN, PURPLE, GREY, INK = (
-    "#0072B2",
-    "#D55E00",
-    "#009E73",
-    "#CC79A7",
-    "#767676",
-    "#1b2733",
-)
+BLUE, ORANGE, GREEN, PURPLE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
+GREY, INK = ("#767676", "#1b2733")
 _CYCLE = ((BLUE, "-"), (ORANGE, "--"), (GREEN, "-."), (PURPLE, ":"))
 STYLE: Any = {
     "font.family": "sans-serif",
@@ -303,9 +297,7 @@ def embedded(path: Path | None, *, lossless: bool = True) -> str | None:
         return None
     buffer = io.BytesIO()
     picture = Image.fromarray(read_pixels(path, _REMEDY))
-    if lossless:
-        picture.save(buffer, "PNG", optimize=True)
-    else:
-        picture.save(buffer, "JPEG", quality=80)
     kind = "png" if lossless else "jpeg"
+    # PNG has no quality, and JPEG is not optimised.
+    picture.save(buffer, kind, optimize=lossless, quality=80)
     return f"data:image/{kind};base64,{base64.b64encode(buffer.getvalue()).decode()}"

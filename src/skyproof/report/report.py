@@ -138,7 +138,7 @@ def _write(
     baselines = baseline_sets(results)
     hardened = hardening(results, every, contents.panels)
     page = (
-        _environment()
+        templates("skyproof.report")
         .get_template("report.html.j2")
         .render(
             results=results,
@@ -171,9 +171,10 @@ def _write(
     return layout.report
 
 
-def _environment() -> jinja2.Environment:
+def templates(package: str) -> jinja2.Environment:
+    """The templates of a package, with numbers and names in words."""
     environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("skyproof.report", "."),
+        loader=jinja2.PackageLoader(package, "."),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,

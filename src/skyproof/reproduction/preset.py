@@ -68,17 +68,12 @@ class WorldSizes:
     """How much ground, how many vehicles and scenes a run has.
 
     Attributes:
-        gsd_m: metres per pixel of ground and images.
-        tiles: drawn ground tiles per split (train, validation, attack, test).
-        vehicles: vehicles in the fleet of each split.
-        validation_images: number of images that choose weights and threshold.
-        test_images: number of images that are attacked and reported.
+        tiles, vehicles: number in each split (train, validation, attack, test).
         training_vehicles: most vehicles in a training image; others have 1 to 5.
         training_places: where vehicles stand in training images: uniform, removed or drivable.
         test_places: where they stand in validation, attack and test images.
         parked_share: share of the training images with a row of parked vehicles, if places are
             uniform.
-        training_conditions: weather and light of the training images, each equally likely.
         paints, shapes: paints of the vehicles in training and validation images, and the share of
             them with a random shape.
     """

@@ -3,14 +3,13 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-import jinja2
 from markupsafe import Markup
 
 from skyproof.console import say
 from skyproof.errors import RunFolderError
 from skyproof.files import alone, write_bytes
 from skyproof.report.baseline import precheck_part
-from skyproof.report.report import Section, write_report
+from skyproof.report.report import Section, templates, write_report
 from skyproof.reproduction.agreement import agreement_part
 from skyproof.reproduction.cells import (
     Block,
@@ -36,14 +35,6 @@ from skyproof.reproduction.weather import weather_part
 from skyproof.results.results import Results
 from skyproof.words import detector_name
 
-_TEMPLATES = jinja2.Environment(
-    loader=jinja2.PackageLoader("skyproof.reproduction", "."),
-    autoescape=True,
-    undefined=jinja2.StrictUndefined,
-    trim_blocks=True,
-    lstrip_blocks=True,
-)
-
 
 def write_reproduction_report(out: Path) -> None:
     """Writes a run's report, with the paper's tables beside it where its attacks were scored."""
@@ -67,7 +58,8 @@ def write_reproduction_report(out: Path) -> None:
                 for block in topic.blocks
                 if not isinstance(block, Figure) or block.files
             ]
-            html = _TEMPLATES.get_template("blocks.html.j2").render(blocks=blocks)
+            template = templates("skyproof.reproduction").get_template("blocks.html.j2")
+            html = template.render(blocks=blocks)
             sections.append(Section("Beside the paper", Markup(html.rstrip("\n"))))
             files = _files(run, [table for topic in topics for table in topic.tables], blocks)
         page = write_report(results, sections=sections)

@@ -1,6 +1,5 @@
 """A run's results by attack, each at its best magnitude, beside the paper's numbers."""
 
-from collections.abc import Mapping
 from functools import cached_property
 
 from skyproof.camouflage.name import CamouflageName
@@ -10,7 +9,6 @@ from skyproof.reproduction.paper_results import PAPER_RESULTS
 from skyproof.reproduction.stored import Features, Looks, read_features, read_looks
 from skyproof.results.result import MAIN_MATCH, Result
 from skyproof.results.results import CYCLES, RENDERER, Results
-from skyproof.results.stored import AttackRecord
 
 _FEWEST = 3
 
@@ -24,7 +22,6 @@ class Reproduction:
         self.cycles = CYCLES in results.renderers
         # Without repeats.
         self.names = [str(name) for name in results.names]
-        self.records: Mapping[str, AttackRecord] = results.records
         self.layout = PaperLayout(results.folder)
         scores = sorted(self.layout.held_out.glob("[!.]*/scores/*/score.json"))
         tables = dict.fromkeys(path.parents[2] for path in scores)

@@ -217,13 +217,11 @@ def _corrected_p(run: Reproduction, name: str) -> dict[str, float | None]:
 def _on_cycles(run: Reproduction, name: str, paper: PaperResult | None) -> dict[str, Any]:
     """Sets the paper's Blender column beside our Cycles column."""
     ours = cycles_columns(run, name)
-    if not ours:
-        return {}
-    return {
-        **ours,
+    theirs = {
         "paper_easr_blender": paper.easr_blender if paper else None,
         "paper_apd_blender": paper.apd_blender if paper else None,
     }
+    return ours | theirs if ours else {}
 
 
 def _curve_rows(run: Reproduction) -> list[dict[str, Any]]:

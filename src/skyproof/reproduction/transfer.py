@@ -19,7 +19,7 @@ def transfer_part(run: Reproduction) -> Topic:
     """Sets the attacked detectors (rows) against those that score (columns)."""
     attacked = {
         CamouflageName.read(name): tuple(record.attack.detectors)
-        for name, record in run.records.items()
+        for name, record in run.results.records.items()
         if record.attack is not None
     }
     of_some = (name for name in run.results.names if name.variant.startswith(_OF_SOME))

@@ -98,7 +98,7 @@ def _named(what: str, names: Sequence[str]) -> str:
 def _sign_rows(run: Reproduction) -> list[dict[str, Any]]:
     return [
         {"attack": name, "detector": detector, **found}
-        for name, record in run.records.items()
+        for name, record in run.results.records.items()
         for detector, found in (record.sign_test or {}).items()
     ]
 
@@ -191,7 +191,7 @@ def _ladder(rows: Sequence[Mapping[str, Any]]) -> list[Block]:
 def _convergence_rows(run: Reproduction) -> list[dict[str, Any]]:
     """What each attack hid half-way and at the end, on scenes of its own world."""
     rows: list[dict[str, Any]] = []
-    for name, record in run.records.items():
+    for name, record in run.results.records.items():
         found = record.convergence
         if found is None:
             continue
@@ -247,7 +247,7 @@ def _gap_rows(run: Reproduction) -> list[dict[str, Any]]:
             "easr_before": _percent(run.results.single_easr(key)),
             "easr_after": _percent(run.results.single_easr(name)),
         }
-        record = run.records.get(name)
+        record = run.results.records.get(name)
         losses = record.discretisation if record else Discretisation()
         for when, means in (("before", losses.before), ("after", losses.after)):
             row |= {f"loss_{detector}_{when}": value for detector, value in means.items()}
