@@ -181,17 +181,15 @@ def _overview(commands: Commands) -> str:
     ]
     for title, group in commands.items():
         lines += ["", f"{title}:"]
-        lines += [f"  {name:<15}{_summary(load_command(name, commands))}" for name in group]
+        for name in group:
+            # The first sentence of the command's docstring.
+            said = (load_command(name, commands).__doc__ or "").strip().split("\n")[0]
+            lines.append(f"  {name:<15}{said.rstrip('.')}")
     lines += [
         "",
         "skyproof COMMAND --help lists a command's options; skyproof --version the version.",
     ]
     return "\n".join(lines)
-
-
-def _summary(command: type[Any]) -> str:
-    """Gives the first sentence of a command's docstring."""
-    return (command.__doc__ or "").strip().split("\n")[0].rstrip(".")
 
 
 def _keep_freed_memory() -> None:

@@ -24,9 +24,13 @@ from skyproof.reproduction.cycles import cycles_part
 from skyproof.reproduction.features import features_part
 from skyproof.reproduction.held_out import held_out_part
 from skyproof.reproduction.looks import colours_part, looks_part
-from skyproof.reproduction.practicality import practicality_part
 from skyproof.reproduction.reproduction import Reproduction
-from skyproof.reproduction.tables import main_part, shape_table, texture_table
+from skyproof.reproduction.tables import (
+    main_part,
+    practicality_part,
+    shape_table,
+    texture_table,
+)
 from skyproof.reproduction.trainings import trainings_part
 from skyproof.reproduction.transfer import transfer_part
 from skyproof.reproduction.trust import criteria_part, trust_part
