@@ -1,4 +1,4 @@
-"""The interface of a detector, and the checks, padding and targets that all of them share."""
+"""The interface of a detector, and the checks, and the padding that all of them share."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -152,11 +152,3 @@ def pad_to_stride(
     """Pads right and below until both sides are multiples of `stride_px`; coordinates stay."""
     height, width = images.shape[-2:]
     return functional.pad(images, (0, -width % stride_px, 0, -height % stride_px), value=value)
-
-
-def as_targets(boxes: Tensor) -> dict[str, Tensor]:
-    """Boxes as a torchvision target: class 1 is the vehicle, 0 the background."""
-    return {
-        "boxes": boxes,
-        "labels": torch.ones(len(boxes), dtype=torch.int64, device=boxes.device),
-    }

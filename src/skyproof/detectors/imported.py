@@ -115,12 +115,20 @@ def _network(blueprint: Blueprint) -> TorchvisionDetector | YoloNetwork | Anchor
                 "the network tells apart; give a checkpoint as Ultralytics saves it."
             )
         return network
-    return _build_torchvision(
-        blueprint.architecture,
-        len(blueprint.classes),
-        blueprint.vehicle_classes,
-        blueprint.norm_eps,
+    # torchvision's never resizes here.
+    model = getattr(detection, blueprint.architecture)(
+        weights=None, weights_backbone=None, num_classes=len(blueprint.classes)
     )
+    for layer in model.backbone.modules():
+        if blueprint.norm_eps is not None and isinstance(layer, nn.BatchNorm2d):
+            layer.eps = blueprint.norm_eps
+    families = {
+        "fasterrcnn": ImportedFasterRcnn,
+        "fcos": ImportedFcos,
+        "retinanet": _ImportedRetinaNet,
+    }
+    family = families[blueprint.architecture.partition("_")[0]]
+    return family(model, tuple(blueprint.vehicle_classes))
 
 
 def count_classes(architecture: str, state: Mapping[str, Tensor]) -> int:
@@ -140,24 +148,6 @@ def count_classes(architecture: str, state: Mapping[str, Tensor]) -> int:
             "they were trained as."
         )
     return rows // anchors
-
-
-def _build_torchvision(
-    architecture: str, class_count: int, vehicle_classes: Sequence[int], norm_eps: float | None
-) -> TorchvisionDetector:
-    """Builds the network of one of `ARCHITECTURES`, without weights; it never resizes."""
-    model = getattr(detection, architecture)(
-        weights=None, weights_backbone=None, num_classes=class_count
-    )
-    for layer in model.backbone.modules():
-        if norm_eps is not None and isinstance(layer, nn.BatchNorm2d):
-            layer.eps = norm_eps
-    families = {
-        "fasterrcnn": ImportedFasterRcnn,
-        "fcos": ImportedFcos,
-        "retinanet": _ImportedRetinaNet,
-    }
-    return families[architecture.partition("_")[0]](model, tuple(vehicle_classes))
 
 
 class _Imported(TorchvisionDetector):

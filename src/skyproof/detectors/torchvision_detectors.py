@@ -29,7 +29,6 @@ from skyproof.detectors.detector import (
     Candidates,
     Images,
     TrainableDetector,
-    as_targets,
     check_images,
     check_targets,
     pad_to_stride,
@@ -120,7 +119,7 @@ class RetinaNetDetector(TorchvisionDetector):
             else:
                 matched = torch.full((len(anchors),), -1, dtype=torch.int64, device=anchors.device)
             # RetinaNet keeps no background class, so the label of its one class is 0.
-            target = {**as_targets(boxes), "labels": matched.new_zeros(len(boxes))}
+            target = {"boxes": boxes, "labels": matched.new_zeros(len(boxes))}
             own = {key: value[index : index + 1] for key, value in outputs.items()}
             terms = self.model.head.compute_loss([target], own, [anchors], [matched])
             divisor = 1.0 if len(boxes) else POSITIVES_PER_VEHICLE
@@ -236,7 +235,7 @@ class FasterRcnnDetector(TorchvisionDetector):
         self, objectness: Tensor, deltas: Tensor, anchors: Tensor, truth: Tensor
     ) -> Tensor:
         network = self.model.rpn
-        labels, matched = network.assign_targets_to_anchors([anchors], [as_targets(truth)])
+        labels, matched = network.assign_targets_to_anchors([anchors], [{"boxes": truth}])
         counted, positive = labels[0] >= 0, labels[0] > 0
         entropy = functional.binary_cross_entropy_with_logits(
             objectness[counted], labels[0][counted], reduction="sum"
@@ -257,8 +256,8 @@ class FasterRcnnDetector(TorchvisionDetector):
             # A mean over no region would not be finite.
             return logits.sum()
         heads = self.model.roi_heads
-        target = as_targets(truth)
-        matched, labels = heads.assign_targets_to_proposals([regions], [truth], [target["labels"]])
+        ones = torch.ones(len(truth), dtype=torch.int64, device=truth.device)
+        matched, labels = heads.assign_targets_to_proposals([regions], [truth], [ones])
         entropy = functional.cross_entropy(logits, labels[0])
         if not len(truth):
             return entropy

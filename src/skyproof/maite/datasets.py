@@ -213,15 +213,9 @@ class CamouflageAugmentation:
 
         The metadata name the camouflage as `camouflage`. An image of another dataset is refused.
         """
-        images: list[np.ndarray] = []
-        targets: list[Target] = []
-        every: list[Mapping[str, Any]] = []
-        for given, known in zip(batch[0], batch[2], strict=True):
-            image, target, told = self._rendered(self._scene(given, known), known)
-            images.append(image)
-            targets.append(target)
-            every.append(told)
-        return images, targets, every
+        given = zip(batch[0], batch[2], strict=True)
+        shown = [self._rendered(self._scene(image, known), known) for image, known in given]
+        return [each[0] for each in shown], [each[1] for each in shown], [each[2] for each in shown]
 
     def _scene(self, image: Any, known: Mapping[str, Any]) -> Scene:
         scene = self._scenes.get(known["id"])

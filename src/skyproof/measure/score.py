@@ -2,7 +2,9 @@
 
 import hashlib
 import itertools
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -126,27 +128,19 @@ def _refuse_other_rendering(
         )
 
 
+@dataclass(frozen=True)
 class _Writer:
     """Takes one view after the other, and keeps of each what the score folder holds."""
 
-    def __init__(
-        self,
-        folder: Path,
-        detectors: Sequence[Detector],
-        scenes: Sequence[Scene],
-        renderer: str,
-        before: SceneView,
-    ) -> None:
-        self._folder = folder
-        self._detectors = detectors
-        self._scenes = scenes
-        self._renderer = renderer
-        self._before = before
-        self._pairs: list[Pair] = []
-        self._original = [row for each in detectors for row in self._set_scores(each, before)]
-        # Tables go by detectors before they go by camouflages.
-        self._outcomes: dict[str, list[Outcome]] = {each.name: [] for each in detectors}
-        self._sets: dict[str, list[SetScore]] = {each.name: [] for each in detectors}
+    _folder: Path
+    _detectors: Sequence[Detector]
+    _scenes: Sequence[Scene]
+    _renderer: str
+    _before: SceneView
+    _pairs: list[Pair] = field(default_factory=list)
+    # Tables go by detectors before they go by camouflages.
+    _outcomes: dict[str, list[Outcome]] = field(default_factory=lambda: defaultdict(list))
+    _sets: dict[str, list[SetScore]] = field(default_factory=lambda: defaultdict(list))
 
     def baselines(self, seed: int) -> list[Baseline]:
         images = BaselineSet(
@@ -170,8 +164,9 @@ class _Writer:
         """Writes all but the pictures, which exist already, and returns the outcomes."""
         outcomes = [outcome for rows in self._outcomes.values() for outcome in rows]
         write_outcomes(self._folder / "outcomes.parquet", outcomes)
-        sets = [row for rows in self._sets.values() for row in rows]
-        write_rows(self._folder / "sets.json", [*self._original, *sets])
+        sets = [self._set_scores(each, self._before) for each in self._detectors]
+        rows = [row for part in (*sets, *self._sets.values()) for row in part]
+        write_rows(self._folder / "sets.json", rows)
         write_rows(self._folder / "pairs" / "pairs.json", self._pairs)
         return outcomes
 

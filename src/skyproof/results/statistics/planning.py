@@ -141,8 +141,9 @@ def assume_from_pilot(pilot: OutcomeCounts) -> Assumptions:
         if len(shown) < 3 or independent <= 1e-15:
             continue
         influence = counts[seen] @ np.array([0.0, -easr, 1 - easr, -1.0]) / found
-        by_tile = _clustered(sample.by_tile(influence[None, :, None]).ravel())
-        effects.append(max(by_tile / independent, 1.0))
+        by_tile = sample.by_tile(influence[None, :, None]).ravel()
+        clustered = len(shown) / (len(shown) - 1) * float(np.sum(by_tile**2))
+        effects.append(max(clustered / independent, 1.0))
         series.append((independent * found, shown))
     if not series:
         raise ConfigurationError(
@@ -210,12 +211,6 @@ def _fewest(enough: Callable[[int], bool], start: int, precision: int | None = N
         else:
             few = middle
     return many
-
-
-def _clustered(influence: Float[np.ndarray, " G"]) -> float:
-    """Gives the variance of a sum of clusters' influences; 0 of a single one."""
-    count = len(influence)
-    return count / (count - 1) * float(np.sum(influence**2)) if count > 1 else 0.0
 
 
 def _unit_variance(easr: float, gained: float) -> float:
