@@ -76,8 +76,7 @@ def is_name(text: str) -> bool:
 def check_ranges(settings: object) -> None:
     """Checks the fields of a dataclass against the limits in their annotations.
 
-    Settings call it in `__post_init__`. Nested settings check themselves, except typed
-    dictionaries, whose values are checked here. The command line calls it for every command.
+    Nested settings check themselves, except typed dictionaries, which are checked here.
     """
     kind: Any = type(settings)
     for name, hint in _limited(kind).items():

@@ -119,8 +119,8 @@ def hardening(
 ) -> Hardening | None:
     """Names the images that help against the strongest attacks, and how to make them.
 
-    They show vehicles and tiles of the attack split: those of the test would flatter the next test.
-    None where no attack hides anything for sure, or the run folder lacks what is needed.
+    They show the attack split, as those of the test would flatter the next test. None where no
+    attack surely hides anything, or the run folder lacks what is needed.
     """
     layout = Layout(results.folder)
     fleet = layout.fleets / "attack"

@@ -86,8 +86,7 @@ def rates_under(
 ) -> dict[str, Any]:
     """Gives a row under a renderer in percent and points; None where there is no row.
 
-    Of controls found without optimisation nothing is said unless this renderer shows all
-    that the differentiable one does: beside fewer, more would seem to be learnt.
+    Chosen controls count only where this renderer has all: beside fewer, more seems optimised.
     """
     rates = in_percent(results.row(name, detector, renderer=renderer))
     wanted = [control for control in name.chosen_controls if results.row(control, detector)]

@@ -90,11 +90,10 @@ def gather_features(
     *,
     seed: int,
 ) -> list[Features]:
-    """Gives the features of the first scenes' vehicles, with and without camouflages, and ground.
+    """Gives the features of vehicles in sight, with and without camouflages, and of ground.
 
-    Vehicles in sight are looked at where they are, found or not. Ground is looked at without
-    camouflage, in boxes as large as the vehicles', at random places a metre or more from every
-    vehicle, as far as there is room. A detector that gives no features is passed over.
+    Ground boxes are as large as the vehicles', at random places a metre or more from each, as far
+    as there is room. A detector that gives no features is passed over.
     """
     largest = max(max(size) for size in original.sizes_px)
     if largest > LARGEST_WHOLE_PX:

@@ -147,11 +147,7 @@ def measure_looks(
     vehicles: VehicleBatch,
     progress: Callable[[int, int], None],
 ) -> Looks:
-    """Measures textures on the vehicles that wear them, each texel by its area there.
-
-    Repeats of a texture are compared with each other, and as many draws of its control.
-    `progress` is called with (folders done, folders in all).
-    """
+    """Measures textures where they are worn; repeats are compared, and as many random draws."""
     compared = _compared([folder.name for folder in folders])
     # Where textures are worn depends on their mask alone.
     areas: dict[bool, Float[Tensor, "512 512"]] = {}

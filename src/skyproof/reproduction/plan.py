@@ -22,11 +22,10 @@ _MOST_STEPS = 20_000
 
 
 class Plan:
-    """The steps of a run, in the order in which one process does them, with all their inputs.
+    """The steps of a run in their order; each also needs what earlier steps leave where it reads.
 
-    A step needs what earlier steps leave in the places that its settings name, beside the inputs
-    that it comes with. Threads are those of each step, if steps run side by side; resources on a
-    cluster (gpu, mem_mb, runtime in minutes) are those of each step that computes much.
+    Threads are of each step if steps run side by side, resources (gpu, mem_mb, runtime in minutes)
+    of each that computes much on a cluster.
     """
 
     def __init__(

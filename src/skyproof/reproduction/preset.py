@@ -143,7 +143,6 @@ class Preset:
             combinations.
         repeats: attacks of each kind, from different seeds.
         texture_repeats: larger number of repeats by texture.
-        draws: draws of each random control (section 5.4).
         magnitudes: PM of shapes alone and of combinations (section 5.5).
         combined_magnitudes: other PM of combinations by texture.
         transfer: textures that are also optimised on single detectors, and on all but one.
@@ -158,14 +157,12 @@ class Preset:
         ladder_magnitude: PM of the shapes and combinations that keep copies, and of random shapes
             on optimised textures.
         score_batch: camouflages scored in one step; a quarter of them on Cycles.
-        resources: resources of each step that renders, trains, attacks or scores.
         reference: detectors that are taken as they come with skyproof.
         best_of: draws of the best-of-N control; 0 for no plain-paint, best-of-N and search control.
         trainings: trainings of every detector, from different seeds. The attacks on all detectors
             are repeated on each.
         blur_sigma_px: blur of the vehicles in pixels, or "paper" for the paper's 2.4; None for the
             blur of the ground.
-        preset: name of the preset of a run folder's settings.
     """
 
     seed: Seed

@@ -72,9 +72,8 @@ def snakemake_words(folder: Path, blender: Path | None, device: str | None = Non
 def run_side_by_side(plan: Plan, run: Run, command: Sequence[str], cores: int, hold: Hold) -> None:
     """Runs Snakemake on a plan, and prints a line per finished step; `cores` run side by side.
 
-    Snakemake holds the run folder's lock as long as it lives. It ends with this process, however
-    that ends (`skyproof.reproduction.watched`). The command names its executor, which no profile
-    of the user's decides.
+    Snakemake holds the run folder's lock as long as it lives, and ends with this process, however
+    that ends (`skyproof.reproduction.watched`).
     """
     place = run.folder / "snakemake.log"
     known = {step.id for step in plan.steps}

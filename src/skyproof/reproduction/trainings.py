@@ -69,11 +69,7 @@ class _Recipe(Struct, frozen=True):
 
 @dataclass(frozen=True)
 class _Training:
-    """Detectors of one training by name, and what the attacks on them came to.
-
-    Number 0 is the run's own, of which all its other results are. Outcomes are as in
-    `OutcomeCounts`, by camouflage and detector.
-    """
+    """Detectors of one training and outcomes by camouflage and detector; 0 is the run's own."""
 
     number: int
     cells: Sequence[Cell]

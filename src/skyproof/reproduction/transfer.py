@@ -43,8 +43,7 @@ def transfer_rows(
 ) -> list[dict[str, Any]]:
     """Gives EASR in percent by detectors attacked and detector, for one kind and its variants.
 
-    The attacked detectors stand by camouflage, with or without repeat. Of "T-U" and its variants
-    "T-U_on_..." and "T-U_without_..." each has a row, single detectors first, then larger sets.
+    Single detectors come first ("T-U_on_..."), then larger sets ("T-U_without_...", "T-U").
     """
     of_row: dict[CamouflageName, tuple[str, ...]] = {}
     for name, detectors in attacked.items():
