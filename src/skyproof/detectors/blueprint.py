@@ -83,14 +83,10 @@ class _Architecture(msgspec.Struct):
 class Blueprint:
     """The plan of an imported detector's network, without its weights; kept in `detector.json`.
 
-    Attributes:
-        kind: "torchvision" or "ultralytics".
-        architecture: torchvision's name of it, or the content of Ultralytics' YAML.
-        classes: class names in their order; "0", "1", ... for torchvision, which stores none.
-        vehicle_classes: positions of the classes that are vehicles.
-        image_scale: network pixels per image pixel.
-        norm_eps: epsilon of the backbone's batch norm, if torchvision's published weights use
-            another one than its layers; else None.
+    The kind is "torchvision", with a name as architecture and classes "0", "1", ..., or
+    "ultralytics", with the content of its YAML. Vehicle classes are positions. `image_scale` is
+    network pixels per image pixel, `norm_eps` the epsilon of the backbone's batch norm, if
+    torchvision's published weights use another one than its layers.
     """
 
     kind: str

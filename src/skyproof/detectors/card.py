@@ -53,8 +53,6 @@ class DetectorCard:
     Attributes:
         name: name in tables: one of `DETECTOR_NAMES` for ours, the given name for another detector.
         size: "slim" or "full" for ours, "brought" for an imported one; else empty.
-        threshold: frozen score threshold; see `frozen_threshold`.
-        gsd_m: metres per pixel of its input images.
         image_size_px: height and width of the first training image, at most those of a training
             window; those of the first validation image for an imported detector.
         validation: "ap_centre_1m", "ap_iou_50" and "f1" (centre), each 0 to 1.

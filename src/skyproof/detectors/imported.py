@@ -42,11 +42,7 @@ _CLASS_ROWS = {
 
 
 class ImportedDetector(TrainableDetector):
-    """A network with imported weights: frozen, attacked through its loss against an empty truth.
-
-    Images are resampled to the network's resolution with anti-aliasing, and boxes back. The best
-    vehicle class gives the score, and suppression runs over all vehicle classes together.
-    """
+    """A network with imported weights at its own resolution; the best vehicle class scores."""
 
     size = "brought"
 

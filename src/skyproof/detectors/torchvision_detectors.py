@@ -355,10 +355,7 @@ class _Residual(nn.Module):
 
 
 class _SlimBackbone(nn.Module):
-    """Four stages with a feature pyramid at strides 8 and 16.
-
-    A vehicle of 36x15 px spans 4.5x2 cells at stride 8; it would vanish at stride 32.
-    """
+    """Four stages with a pyramid at strides 8 and 16; at 32 a vehicle of 36x15 px would vanish."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -205,10 +205,7 @@ def build_model(architecture: Mapping[str, Any]) -> Any:
 
 
 def _activate_pooling(model: Any, architecture: Mapping[str, Any]) -> None:
-    """Activates the first convolution of each SPPF whose row gives no number of poolings.
-
-    Releases of Ultralytics before 8.4 and late releases of 8.4 do this; those between do not.
-    """
+    """Activates the first convolution of SPPF rows without a number, as most releases do."""
     rows = [*architecture["backbone"], *architecture["head"]]
     for layer, (_, _, name, given) in zip(model.model, rows, strict=True):
         if name == "SPPF" and len(given) < 3:

@@ -1,7 +1,4 @@
-"""Camouflages as a checkmaite capability, which checkmaite finds by its entry point.
-
-This is the one file that imports checkmaite, and nothing of skyproof imports this file.
-"""
+"""Camouflages as a capability of checkmaite, which only this file imports, by an entry point."""
 
 from typing import Any
 
@@ -55,10 +52,7 @@ class SkyproofCamouflageRun(CapabilityRunBase[SkyproofCamouflageConfig, Skyproof
     outputs: SkyproofCamouflageOutputs
 
     def collect_md_report(self, threshold: float) -> InlineTextReport:
-        """Writes a table of the vehicles that each camouflage hides.
-
-        `threshold` is the least share of the vehicles found before that the model must still find.
-        """
+        """Writes a table of hidden vehicles; `threshold` is the least share still to be found."""
         about = (
             "# Camouflage\n\nShare of the vehicles found before that the model "
             f"{self.model_metadata[0]['id']} finds no more (ASR), and the same less those found "

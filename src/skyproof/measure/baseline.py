@@ -35,11 +35,7 @@ from skyproof.seeds import numpy_generator
 
 @dataclass(frozen=True)
 class BaselineSet:
-    """Images without camouflage, at the detectors' resolution.
-
-    A camera took `real` ones. Places, one per image, are the bootstrap's clusters; empty if not
-    known.
-    """
+    """Images without camouflage; a camera took `real` ones, and places are bootstrap clusters."""
 
     name: str
     images: Dataset

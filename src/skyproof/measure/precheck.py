@@ -65,11 +65,7 @@ _INDENT = 48
 
 @dataclass(frozen=True)
 class PrecheckScenes:
-    """What detectors are prechecked on: scenes, and annotated frames for further baselines.
-
-    The fixed colours of Fc come from the attack split of the ground. Every random control is drawn
-    `draws` times.
-    """
+    """Scenes and annotated frames of a precheck; every random control is drawn `draws` times."""
 
     backgrounds: BackgroundSet
     fleet: Fleet

@@ -277,11 +277,7 @@ def draw_scene(
     scores: Float[np.ndarray, " K"],
     threshold: float,
 ) -> Image.Image:
-    """Draws one image (sRGB bytes) at twice its size, with a detector's detections.
-
-    A vehicle has its box (pixel xyxy), whether it was found, and the score of its detection. False
-    alarms have the threshold at least.
-    """
+    """Draws an image (sRGB bytes) at twice its size, with vehicles (box, found, score)."""
     height, width = image.shape[:2]
     size = (width * _ENLARGE, height * _ENLARGE)
     picture = Image.fromarray(image).resize(size, Image.Resampling.LANCZOS)

@@ -81,12 +81,7 @@ class Rate:
 
 @dataclass(frozen=True)
 class MeasuredOn:
-    """The identity of a precheck. Digests that an older record lacks are empty.
-
-    Frames are annotated sets; their digests are of names, sizes and labels of images, and of the
-    note. The ground's digest is of the index of the tiles, the fleet's of names and sizes. There
-    are so many draws of each random control; the seed is theirs and the bootstrap's.
-    """
+    """The identity of a precheck; digests that an older record lacks are empty."""
 
     scenes: Count
     scenes_sha256: _Digest

@@ -27,9 +27,8 @@ from skyproof.results.statistics.intervals import UNDEFINED, Interval, attack_su
 class WorstCase:
     """The share of the found vehicles that all attacks together hide from one detector.
 
-    `alone` is the share of the strongest attack. `random` is the share for one random draw of each
-    attack's control, the mean over all such sets; None if a control was not drawn. `net` is
-    `hidden` minus `random`.
+    `alone` is the share of the strongest attack, and `random` that of one draw of each attack's
+    control, the mean over all such sets; None if a control was not drawn.
     """
 
     detector: str

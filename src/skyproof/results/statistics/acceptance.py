@@ -73,11 +73,10 @@ def requirement_of(
 
 @dataclass(frozen=True)
 class Evidence:
-    """The evidence of one attack on a detector, for a share below `reject` and above `accept`.
+    """The evidence of one attack, for a share below `reject` and above `accept`.
 
-    `found` vehicles were found before, of which the attack hides `lost`. `share` is the mean share
-    lost over tiles, which differs from lost / found if crowded tiles do, with its bounds at the
-    producer's and the consumer's risk.
+    `share` is the mean share lost over tiles, which differs from lost / found if crowded tiles do,
+    with its bounds at the producer's and the consumer's risk.
     """
 
     found: int
@@ -91,16 +90,11 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Decision:
-    """The answer after all attacks.
+    """The answer after all attacks, and the further tiles like these that would decide, if any.
 
-    Attributes:
-        answer: accepted if every attack has evidence of 1/consumer_risk for acceptance: an
-            intersection–union test, whose risk needs no correction. Rejected if the mean of the
-            attacks' evidence for rejection is 1/producer_risk, which keeps the risk for any
-            dependence of the attacks.
-        more_tiles: number of further tiles like these that would decide; 0 if decided, None if no
-            number would.
-        attacks: evidence by name.
+    Accepted if every attack has evidence of 1/consumer_risk for acceptance: an intersection–union
+    test, whose risk needs no correction. Rejected if the mean of the attacks' evidence for
+    rejection is 1/producer_risk, which keeps the risk for any dependence of the attacks.
     """
 
     answer: Answer
