@@ -188,10 +188,15 @@ def test_a_stop_ends_processes_that_never_answer(tmp_path, wrapped):
 
     results, threads = tmp_path / "results", threading.active_count()
     stopper = threading.Thread(target=stop)
-    stopper.start()
-    with pytest.raises(KeyboardInterrupt), Workers(fake.blender, 2, results) as workers:
-        workers.run([job(seed) for seed in range(6)])
-    stopper.join()
+    # The processes of pytest-xdist ignore the signal.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        stopper.start()
+        with pytest.raises(KeyboardInterrupt), Workers(fake.blender, 2, results) as workers:
+            workers.run([job(seed) for seed in range(6)])
+        stopper.join()
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert ended(fake.processes)
     assert threading.active_count() == threads
     files = [path for path in results.iterdir() if not path.name.startswith(".")]
