@@ -81,7 +81,9 @@ def searched(world: World, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("name", ["T-PixFc", "S-O@0.4", "R-PixFc_search"])
+@pytest.mark.parametrize(
+    "name", ["T-PixFc", pytest.param("S-O@0.4", marks=pytest.mark.slow), "R-PixFc_search"]
+)
 def test_answers_alone_find_something_better(tmp_path: Path, world: World, name: str) -> None:
     before = finished(name)
     detector = Answering()

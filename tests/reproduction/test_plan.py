@@ -507,6 +507,7 @@ def test_a_step_on_cycles_finds_its_blender_and_files(tmp_path, monkeypatch):
     assert {step.settings.device for step in plan.steps if step.kind == "score"} == {"cpu"}
 
 
+@pytest.mark.slow
 def test_snakemake_looks_at_waiting_steps_when_one_ends_and_not_between(tmp_path):
     config = tmp_path / "config.json"
     config.write_text(TINY_FILE.read_text())
