@@ -25,7 +25,10 @@ from tests.attacks.test_kinds import FEW, PALETTE, BrightnessDetector, mean_loss
 
 __all__ = ["world"]
 
-SEARCHED = ["R-PixLcMa_search", "R-C-PixFc@0.3_search"]
+SEARCHED = [
+    "R-PixLcMa_search",
+    pytest.param("R-C-PixFc@0.3_search", marks=pytest.mark.slow),
+]
 
 
 class Counting(BrightnessDetector):

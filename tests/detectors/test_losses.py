@@ -174,6 +174,7 @@ def test_a_seed_gives_slim_networks_the_initial_weights_it_always_gave(
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_full_size_gives_finite_losses_and_gradients(name: str) -> None:
     detector = (
