@@ -107,7 +107,7 @@ def test_both_renderers_have_an_answer_and_their_tables(page):
         text.index("images of Blender Cycles, unknown to"),
     )
     assert first < second < text.index("Results in full")
-    for heading in ("differentiable renderer, found = centre", "Blender Cycles, found = boxes"):
+    for heading in ("differentiable renderer), found = centre", "Blender Cycles), found = boxes"):
         assert len(table_of(page, heading)) == 6  # T-U and R-U for two detectors and their mean
     assert "Net success is lower in this light" in text
     assert "same synthetic vehicle shapes" in text[text.index("Limits") :]
@@ -158,7 +158,7 @@ def test_without_cycles_the_page_is_as_before(both, run_folder):
     page = write_report(run_folder).read_text()
     assert page == (both / "without.html").read_text()
     assert "Cycles" not in page
-    assert "Images of the differentiable renderer, found = centre within 1.0 m" in page
+    assert "Images (differentiable renderer), found = centre within 1.0 m" in page
 
 
 def test_missing_pictures_of_cycles_are_left_out(run_folder):

@@ -46,10 +46,10 @@ def assess_steps(its: Subject) -> Iterator[Step]:
     drawn = [*controls(its)]
     yield from drawn
     optimised = scored(its, made)
-    worn = [*optimised, *(place.parent for step in drawn for place in step.outputs)]
+    folders = [*optimised, *(place.parent for step in drawn for place in step.outputs)]
     scores = [
-        score(its, f"test-{number}", worn[start : start + _SCORED_AT_ONCE], first=number == 0)
-        for number, start in enumerate(range(0, len(worn), _SCORED_AT_ONCE))
+        score(its, f"test-{number}", folders[start : start + _SCORED_AT_ONCE], first=number == 0)
+        for number, start in enumerate(range(0, len(folders), _SCORED_AT_ONCE))
     ]
     if its.request.cycles:
         rendering = Rendering(renderer="cycles", blender=its.request.blender)

@@ -1,4 +1,4 @@
-"""What a camouflage is: a change of vehicles that can be learnt, finished and stored."""
+"""What a camouflage is: a change of vehicles that can be optimised, finished and stored."""
 
 import math
 from collections.abc import Mapping

@@ -51,7 +51,7 @@ class Combination(Camouflage):
         return self.shape(self.texture(vehicles))
 
     def before_step_(self, step: int, steps: int) -> None:
-        """Says whose turn it is to be learnt; the texture begins."""
+        """Says whose turn it is to be optimised; the texture begins."""
         if self.turn_steps is not None:
             texture_turn = (step - 1) // self.turn_steps % 2 == 0
             self.texture.requires_grad_(texture_turn)

@@ -21,7 +21,7 @@ _TEXTURES = tuple(
         *("Fc", "FcMa", "PixFc", "PixFcMa", "Fc", "PixFc"),
     )
 )
-# Coarser and finer than the attacks' 32 blocks, so that one width is not learnt by heart.
+# Coarser and finer than the attacks' 32 blocks, so that no detector learns one width by heart.
 _BLOCKS = (8, 16, 32, 64)
 _MOST_COLOURS = 8
 _MAGNITUDES = (0.1, 0.4)

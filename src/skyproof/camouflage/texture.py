@@ -15,7 +15,7 @@ from skyproof.vehicles.vehicle import TEXTURE_SIZE, Overlay, Part, VehicleBatch
 # Of w = softmax(logits / temperature): from nearly free mixing to nearly one colour a texel.
 _FIRST_TEMPERATURE = 1.0
 _LAST_TEMPERATURE = 0.1
-# Of learnt colours around those they begin at, in sRGB.
+# Of optimised colours around those they begin at, in sRGB.
 _PALETTE_SD = 0.05
 
 
@@ -154,7 +154,7 @@ class UniversalTexture(Camouflage):
 
     @torch.no_grad()
     def vary_(self, generator: torch.Generator) -> None:
-        """Gives a rectangle one other colour; one change in four of a learnt palette is its own."""
+        """Gives a rectangle one other colour; a quarter of changes are of an optimised palette."""
         if self.constraints.colours == "learnt" and torch.rand((), generator=generator) < 0.25:
             row = int(torch.randint(len(self.palette), (), generator=generator))
             self.palette[row] = torch.rand(3, generator=generator).to(self.palette)
