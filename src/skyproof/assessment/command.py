@@ -31,7 +31,6 @@ _OPTIONS = {
     "give it with --source.crs, or the metres": "write it into the image, or give the metres",
     " (or --source.crs)": "",
     ", or larger tiles (--tiling.size-px)": "",
-    ", or make the tiles smaller (--tiling.size-px of skyproof ground)": "",
     "--source.gsd-m": "--gsd",
     "--labels.classes": "--label-classes",
     "--labels.path": "--labels",

@@ -23,6 +23,18 @@ from skyproof.scenes.scene import read_scenes
 from skyproof.words import detector_name, percent
 
 
+def refuse_few_tiles(said: str, tiles: int, requirement: Requirement, scenes: int) -> None:
+    """Refuses test tiles, of which `said` tells, on which no detector could be accepted."""
+    needed = fewest_tiles(requirement.reject, requirement.consumer_risk)
+    if tiles < needed:
+        raise ImageryError(
+            f"{said}, and on fewer than {needed} no detector can be accepted at "
+            f"{percent(requirement.reject)} with these risks, not even one that loses nothing; "
+            f"give imagery with about {tiles_to_show(needed, scenes):,} test tiles that have "
+            "drivable ground, or leave out --accept and --reject."
+        )
+
+
 def enough_ground(its: Subject, requirement: Requirement) -> Step:
     """Stops a run without enough test tiles for a verdict, before anything is attacked."""
     scenes, out = its.layout.scenes("test"), its.layout.folder / "enough.json"
@@ -31,14 +43,8 @@ def enough_ground(its: Subject, requirement: Requirement) -> Step:
         drawn = read_scenes(scenes)
         tiles = len({scene.background.tile for scene in drawn})
         needed = fewest_tiles(requirement.reject, requirement.consumer_risk)
-        if tiles < needed:
-            raise ImageryError(
-                f"The {len(drawn)} scenes of {scenes} stand on {tiles} test tiles, and on fewer "
-                f"than {needed} no detector can be accepted at {percent(requirement.reject)} with "
-                "these risks, not even one that loses nothing; give imagery with about "
-                f"{tiles_to_show(needed, len(drawn)):,} test tiles that have drivable ground, or "
-                "leave out --accept and --reject."
-            )
+        said = f"The {len(drawn)} scenes of {scenes} stand on {tiles} test tiles"
+        refuse_few_tiles(said, tiles, requirement, len(drawn))
         say(f"Test tiles: {tiles}; no verdict is possible on fewer than {needed}.")
         write_json(out, {"test_tiles": tiles, "fewest": needed})
 

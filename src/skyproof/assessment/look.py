@@ -1,4 +1,4 @@
-"""What is said before any work: a mistake in imagery or labels, the size of the test, the time."""
+"""The look at imagery, labels and checkpoint before any work, and the plan of a test."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from statistics import median
 
+from skyproof.assessment.judging import refuse_few_tiles
 from skyproof.assessment.preparing import tiling_of
 from skyproof.assessment.run import Step, duration
 from skyproof.assessment.subject import Subject
@@ -16,7 +17,7 @@ from skyproof.imagery.labels.files import read_labels
 from skyproof.imagery.labels.label import GroundLabels, Labels
 from skyproof.imagery.settings import LabelSettings, SourceSettings
 from skyproof.imagery.tiles.georeference import system_of, to_reference_system
-from skyproof.imagery.tiles.grid import Grid, cells_of, lay_grids
+from skyproof.imagery.tiles.grid import Cell, Grid, cells_of, lay_grids
 from skyproof.imagery.tiles.placed_labels import vehicle_classes
 from skyproof.imagery.tiles.sources import Source, SourceReader, find_images, inspect_source
 from skyproof.results.statistics.acceptance import fewest_tiles
@@ -59,25 +60,19 @@ def look_at(its: Subject) -> tuple[int, list[str]]:
         given = SourceSettings(gsd_m=request.gsd)
         sources = [inspect_source(path, given, reader) for path in files]
     grids = lay_grids(sources, tiling, notes)
-    tiles = sum(len(cells_of(grid)) for grid in grids)
-    test_tiles = max(1, round(tiles * tiling.shares[3]))
-    sentences = [_imagery(sources, grids, tiles), *_equal_notes(sources, notes)]
+    cells = [cell for grid in grids for cell in cells_of(grid)]
+    test_tiles = max(1, round(len(cells) * tiling.shares[3]))
+    sentences = [_imagery(sources, cells), *_equal_notes(sources, notes)]
     if request.labels is not None:
         settings = LabelSettings(request.labels, request.label_classes)
         sentences.append(_labels(read_labels(request.labels), settings, sources, grids, its))
     if request.requirement is not None:
-        needed = fewest_tiles(request.requirement.reject, request.requirement.consumer_risk)
-        if test_tiles < needed:
-            raise ImageryError(
-                f"The imagery holds at most {test_tiles} test tiles, and on fewer than {needed} no "
-                f"detector can be accepted at {percent(request.requirement.reject)} with these "
-                "risks, not even one that loses nothing; give more imagery, or leave out --accept "
-                "and --reject."
-            )
+        said = f"The imagery holds at most {test_tiles} test tiles"
+        refuse_few_tiles(said, test_tiles, request.requirement, its.suite.test_images)
     return test_tiles, sentences
 
 
-def _imagery(sources: Sequence[Source], grids: Sequence[Grid], tiles: int) -> str:
+def _imagery(sources: Sequence[Source], cells: Sequence[Cell]) -> str:
     sides_m = [
         (source.width_px * gsd[0], source.height_px * gsd[1])
         for source in sources
@@ -89,13 +84,13 @@ def _imagery(sources: Sequence[Source], grids: Sequence[Grid], tiles: int) -> st
     )
     placed = sum(source.georeference.crs is not None for source in sources)
     widths, heights = zip(*sides_m, strict=True)
-    sides = {round(grid.side_m) for grid in grids}
-    used = tiles * grids[0].side_m ** 2 / max(sum(w * h for w, h in sides_m), 1e-9)
+    tiles_m = [cell.side_m for cell in cells]
+    used = sum(side_m**2 for side_m in tiles_m) / sum(w * h for w, h in sides_m)
     return (
         f"{len(sources)} images of {_span(min(widths), max(widths))} x "
         f"{_span(min(heights), max(heights))} m at {_span(finest, coarsest, 1)} cm per pixel, "
-        f"{placed} of them on a map: about {tiles:,} tiles of {_span(min(sides), max(sides))} m, "
-        f"which cover {percent(min(used, 1.0))} of them"
+        f"{placed} of them on a map: about {len(cells):,} tiles of "
+        f"{_span(min(tiles_m), max(tiles_m))} m, which cover {percent(min(used, 1.0))} of them"
     )
 
 
@@ -142,7 +137,9 @@ def _lengths_m(
     lengths_m: list[float] = []
     count = 0
     if isinstance(labels, GroundLabels):
-        wanted = [label for label in labels.labels if label.class_name in classes]
+        wanted = [
+            label for label in labels.labels if label.class_name in classes and not label.ignore
+        ]
         grid = next((grid for grid in grids if grid.crs is not None), None)
         if grid is not None:
             system = system_of(labels.crs, "the labels")
