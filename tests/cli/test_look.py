@@ -11,6 +11,10 @@ from tests.imagery.made import noise
 CAR_PX = (36, 15)
 """4.5 x 1.9 m at 12.5 cm per pixel."""
 
+_REJECT = next(each / 100 for each in range(99, 0, -1) if fewest_tiles(each / 100, 0.05) == 5)
+FIVE_TILES = ["--accept", 0.01, "--reject", _REJECT]
+"""A requirement that takes five test tiles at least."""
+
 
 @pytest.fixture
 def photographs(tmp_path):
@@ -55,25 +59,37 @@ def test_a_wrong_resolution_is_seen_by_the_length_of_cars(
 def test_too_few_tiles_for_the_requirement_are_seen_at_once(
     photographs, tmp_path, skyproof: Skyproof
 ):
-    reject = next(each / 100 for each in range(99, 0, -1) if fewest_tiles(each / 100, 0.05) == 5)
     call = ["assess", "retinanet", "--imagery", photographs / "0.png", "--gsd", 0.125]
-    risk = ["--accept", 0.01, "--reject", reject, "--out", tmp_path / "run"]
-    skyproof(*call, *risk).refused("holds at most", "on fewer than 5 no detector can be accepted")
+    out = ["--out", tmp_path / "run"]
+    skyproof(*call, *FIVE_TILES, *out).refused(
+        "holds at most", "on fewer than 5 no detector can be accepted"
+    )
     assert not (tmp_path / "run").exists()
 
 
-def test_a_class_that_the_checkpoint_lacks_is_seen_at_once(
-    call, tmp_path, photographs, skyproof: Skyproof
-):
+@pytest.fixture
+def checkpoint(tmp_path):
+    """Options for a torchvision checkpoint with the classes 1 and 2."""
     from torchvision.models.detection import fasterrcnn_mobilenet_v3_large_320_fpn
 
     network = fasterrcnn_mobilenet_v3_large_320_fpn(
         weights=None, weights_backbone=None, num_classes=3
     )
     torch.save(network.state_dict(), tmp_path / "best.pt")
-    architecture = ["--architecture", "fasterrcnn_mobilenet_v3_large_320_fpn", "--gsd", 0.125]
-    words = [*call[2:], *architecture, "--vehicle-classes", 3]
-    skyproof("assess", tmp_path / "best.pt", *words).refused("label numbers from 1 to 2", "got 3")
+    return [tmp_path / "best.pt", "--architecture", "fasterrcnn_mobilenet_v3_large_320_fpn"]
+
+
+def test_a_class_that_the_checkpoint_lacks_is_seen_at_once(
+    call, checkpoint, tmp_path, skyproof: Skyproof
+):
+    words = [*checkpoint, *call[2:], "--gsd", 0.125, "--vehicle-classes", 3]
+    skyproof("assess", *words).refused("label numbers from 1 to 2", "got 3")
+    assert not (tmp_path / "run").exists()
+
+
+def test_all_mistakes_are_told_at_once(call, checkpoint, tmp_path, skyproof: Skyproof):
+    words = [*checkpoint, *call[2:], "--gsd", 0.06, "--vehicle-classes", 3, *FIVE_TILES]
+    skyproof("assess", *words).refused("got 3", "is 2.2 m long", "no detector can be accepted")
     assert not (tmp_path / "run").exists()
 
 

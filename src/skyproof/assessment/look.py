@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from statistics import median
 
 from skyproof.assessment.judging import refuse_few_tiles
@@ -12,7 +13,7 @@ from skyproof.assessment.preparing import tiling_of
 from skyproof.assessment.run import Step, duration
 from skyproof.assessment.subject import Subject
 from skyproof.detectors.import_checkpoint import Checkpoint, read_blueprint
-from skyproof.errors import ImageryError
+from skyproof.errors import ImageryError, SkyproofError
 from skyproof.imagery.labels.files import read_labels
 from skyproof.imagery.labels.label import GroundLabels, Labels
 from skyproof.imagery.settings import LabelSettings, SourceSettings
@@ -45,14 +46,40 @@ _HALF_WIDTH = 0.05
 
 
 def look_at(its: Subject) -> tuple[int, list[str]]:
-    """Reads what imagery, labels and checkpoint say; gives the most test tiles, and sentences."""
+    """Reads what imagery, labels and checkpoint say; gives the most test tiles, and sentences.
+
+    Raises:
+        SkyproofError: tells every mistake that shows.
+    """
     request = its.request
-    if request.vehicle_classes and its.black_box is None:
-        kind = "torchvision" if request.architecture else "ultralytics"
-        place, classes = request.detectors[0], request.vehicle_classes
-        read_blueprint(Checkpoint(place, kind, classes, request.architecture), 1.0)
-    if not request.imagery:
-        return its.suite.tiles[3], []
+    mistakes: list[SkyproofError] = []
+    test_tiles, sentences = its.suite.tiles[3], list[str]()
+    with _noted(mistakes):
+        if request.vehicle_classes and its.black_box is None:
+            kind = "torchvision" if request.architecture else "ultralytics"
+            place, classes = request.detectors[0], request.vehicle_classes
+            read_blueprint(Checkpoint(place, kind, classes, request.architecture), 1.0)
+    with _noted(mistakes):
+        if request.imagery:
+            test_tiles, sentences = _look_at_imagery(its, mistakes)
+    if len(mistakes) == 1:
+        raise mistakes[0]
+    if mistakes:
+        raise type(mistakes[0])(" ".join(map(str, mistakes)))
+    return test_tiles, sentences
+
+
+@contextmanager
+def _noted(mistakes: list[SkyproofError]) -> Iterator[None]:
+    """Goes on after a mistake, so that a user hears of all at once."""
+    try:
+        yield
+    except SkyproofError as error:
+        mistakes.append(error)
+
+
+def _look_at_imagery(its: Subject, mistakes: list[SkyproofError]) -> tuple[int, list[str]]:
+    request = its.request
     tiling = tiling_of(its)
     notes: list[str] = []
     with SourceReader() as reader:
@@ -63,12 +90,14 @@ def look_at(its: Subject) -> tuple[int, list[str]]:
     cells = [cell for grid in grids for cell in cells_of(grid)]
     test_tiles = max(1, round(len(cells) * tiling.shares[3]))
     sentences = [_imagery(sources, cells), *_equal_notes(sources, notes)]
-    if request.labels is not None:
-        settings = LabelSettings(request.labels, request.label_classes)
-        sentences.append(_labels(read_labels(request.labels), settings, sources, grids, its))
-    if request.requirement is not None:
-        said = f"The imagery holds at most {test_tiles} test tiles"
-        refuse_few_tiles(said, test_tiles, request.requirement, its.suite.test_images)
+    with _noted(mistakes):
+        if request.labels is not None:
+            settings = LabelSettings(request.labels, request.label_classes)
+            sentences.append(_labels(read_labels(request.labels), settings, sources, grids, its))
+    with _noted(mistakes):
+        if request.requirement is not None:
+            said = f"The imagery holds at most {test_tiles} test tiles"
+            refuse_few_tiles(said, test_tiles, request.requirement, its.suite.test_images)
     return test_tiles, sentences
 
 
