@@ -14,7 +14,13 @@ import torch
 from safetensors.torch import save_file
 from torch import nn
 
-from skyproof.detectors.checkpoints import StandIn, network_of, read_checkpoint, state_of
+from skyproof.detectors.checkpoints import (
+    StandIn,
+    network_of,
+    networks_in,
+    read_checkpoint,
+    state_of,
+)
 from skyproof.errors import StoredFileError
 
 
@@ -45,6 +51,10 @@ def same(found: dict[str, torch.Tensor], wanted: dict[str, torch.Tensor]) -> boo
     )
 
 
+def begun_with(prefix: str, network: nn.Module) -> dict[str, torch.Tensor]:
+    return {prefix + name: value for name, value in network.state_dict().items()}
+
+
 @pytest.mark.parametrize(
     "wrap",
     [
@@ -62,12 +72,45 @@ def same(found: dict[str, torch.Tensor], wanted: dict[str, torch.Tensor]) -> boo
                 (f"module.{key}", value) for key, value in network.state_dict().items()
             )
         },
+        lambda network: begun_with("_orig_mod.module.", network),
+        lambda network: begun_with("module._orig_mod.module.", network),
+        lambda network: begun_with("module.", network) | {"n_averaged": torch.tensor(5)},
+        lambda network: {
+            name.replace("layers.0.", "layers.0._orig_mod."): value
+            for name, value in network.state_dict().items()
+        },
+        lambda network: {"ema": {"module": network.state_dict(), "updates": torch.tensor(7)}},
+        lambda network: {"ema": {"decay": 0.999}, "model": {"state_dict": network.state_dict()}},
+        lambda network: {
+            "optimizer": {"state": {0: {"step": torch.ones(1), "exp_avg": torch.ones(9)}}},
+            "loss": nn.Linear(1, 1),
+            "nets": {"detector": begun_with("module.", network)},
+        },
     ],
 )
 def test_weights_are_found_in_every_usual_wrapping(wrap: Any, tmp_path: Path) -> None:
     network = Network()
     torch.save(wrap(network), tmp_path / "x.pt")
     assert same(state_of(network_of(read_checkpoint(tmp_path / "x.pt"))), network.state_dict())
+
+
+@pytest.mark.parametrize("place", ["ema.module", "state_dict_ema", "model_ema", "swa"])
+def test_averaged_weights_go_first_if_they_are_whole(place: str) -> None:
+    plain = Network().state_dict()
+    for whole in (True, False):
+        averaged: Any = {name: value + 1 for name, value in list(plain.items())[not whole :]}
+        for key in reversed(place.split(".")):
+            averaged = {key: averaged}
+        found = networks_in({"model": plain, "updates": torch.tensor(3), **averaged})
+        assert list(found) == ([place, "model"] if whole else ["model"])
+
+
+def test_content_that_holds_itself_ends() -> None:
+    content: dict[str, Any] = {}
+    for _ in range(60):
+        content = {"a": content, "b": content}
+    content["again"] = content
+    assert networks_in(content) == {}
 
 
 def test_attributes_and_class_names_stay_but_behaviour_does_not(tmp_path: Path) -> None:

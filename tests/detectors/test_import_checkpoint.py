@@ -18,7 +18,7 @@ from torchvision.models.detection import fasterrcnn_mobilenet_v3_large_fpn, mask
 
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.card import read_card
-from skyproof.detectors.import_checkpoint import Checkpoint, import_detector
+from skyproof.detectors.import_checkpoint import Checkpoint, import_detector, read_blueprint
 from skyproof.detectors.loaded import build_detector, load_detector
 from skyproof.detectors.ultralytics_detectors import _quiet_import
 from skyproof.detectors.validation import validate
@@ -103,6 +103,45 @@ def test_every_form_of_the_same_weights_gives_the_same_detector(
             name="v",
         )
         assert card.validation == wanted.validation
+
+
+@pytest.mark.parametrize(
+    ("wrap", "said"),
+    [
+        (lambda state: {"state_dict": begun("model.", state)}, ""),
+        (lambda state: {"state_dict": begun("net._orig_mod.module.model.", state)}, ""),
+        (lambda state: {"ema": {"module": state, "updates": 7}}, ""),
+        (
+            lambda state: {"model": spoilt(state), "ema": {"module": state, "updates": 7}},
+            ", the weights at 'ema.module', not those at 'model'",
+        ),
+        (
+            lambda state: begun("model.", spoilt(state)) | begun("ema_model.module.", state),
+            ", without 330 tensors beside the network",
+        ),
+        (
+            lambda state: begun("model.", state) | {"loss.weight": torch.ones(3)},
+            ", without 1 tensors beside the network",
+        ),
+    ],
+)
+def test_wrappings_of_programs_that_train(
+    checkpoint: Checkpoint, network: torch.nn.Module, wrap: Any, said: str
+) -> None:
+    state = network.state_dict()
+    torch.save(wrap(state), checkpoint.path)
+    _, found, origin = read_blueprint(checkpoint, 1.0)
+    assert found.keys() == state.keys()
+    assert all(torch.equal(found[name], state[name]) for name in state)
+    assert origin == f"torchvision checkpoint vehicles.pth{said}"
+
+
+def begun(prefix: str, state: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    return {prefix + name: value for name, value in state.items()}
+
+
+def spoilt(state: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    return {name: value + 1 for name, value in state.items()}
 
 
 def test_the_resolution_it_was_made_for(checkpoint: Checkpoint, tmp_path: Path) -> None:

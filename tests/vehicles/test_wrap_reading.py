@@ -1,7 +1,9 @@
 """Meshes in several formats, and what is wrong with them: a stated repair or one sentence."""
 
+import json
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -390,6 +392,72 @@ def test_a_compressed_mesh_is_called_so(tmp_path: Path) -> None:
     path.write_text(f'{{"asset": {{"version": "2.0"}}, {required}}}')
     with pytest.raises(ConfigurationError, match=r"compressed \(Draco\).*without mesh compression"):
         read_mesh(path)
+
+
+def test_corners_that_count_back_are_those_that_count_from_the_start(tmp_path: Path) -> None:
+    """Two blocks, each with its own corners before its faces, as exporters stream them."""
+    box = trimesh.creation.box((4.4, 1.8, 0.7))
+    files: dict[str, list[str]] = {"start.obj": [], "back.obj": []}
+    for block in range(2):
+        for path, lines in files.items():
+            lines += [f"v {x} {y} {z + block}" for x, y, z in box.vertices]
+            lines += [f"vt {0.1 * place} {block}" for place in range(9)]
+            lines += ["vn 0 0 1"]
+            for face in box.faces:
+                before = (8, 9, 1) if path == "back.obj" else (-8 * block, -9 * block, -block)
+                names = ((c + 1, c + 2, 1) for c in face.tolist())
+                signs = [
+                    "/".join(
+                        str(n - b - (path == "back.obj")) for n, b in zip(name, before, strict=True)
+                    )
+                    for name in names
+                ]
+                lines.append(" ".join(["f", *signs]))
+    meshes = []
+    for path, lines in files.items():
+        (tmp_path / path).write_text("\r\n".join(lines).replace(" ", " \\\r\n", 1))
+        meshes.append(read_mesh(tmp_path / path))
+    assert "f -" in (tmp_path / "back.obj").read_text()
+    for name in ("corners", "uvs"):
+        assert np.array_equal(getattr(meshes[0], name), getattr(meshes[1], name))
+    assert np.ptp(meshes[1].corners[..., 2]) == pytest.approx(1.7)
+    (tmp_path / "far.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf -1 -2 -4\n")
+    with pytest.raises(ConfigurationError, match="a face names -4 of 3"):
+        read_mesh(tmp_path / "far.obj")
+
+
+@pytest.mark.parametrize(
+    ("texture", "refused"),
+    [
+        ({"texCoord": 1}, True),
+        ({"extensions": {"KHR_texture_transform": {"scale": [0.5, 0.5]}}}, True),
+        ({"extensions": {"KHR_texture_transform": {"texCoord": 1}}}, True),
+        ({"extensions": {"KHR_texture_transform": {"offset": [0, 0], "scale": [1, 1]}}}, False),
+        ({"texCoord": 1, "extensions": {"KHR_texture_transform": {"texCoord": 0}}}, False),
+    ],
+)
+@pytest.mark.parametrize("used", [True, False])
+def test_a_gltf_texture_that_is_moved_is_refused(
+    tmp_path: Path, texture: dict[str, Any], refused: bool, used: bool
+) -> None:
+    path = tmp_path / "car.gltf"
+    material = PBRMaterial(baseColorTexture=picture())
+    mesh = trimesh.creation.box((4.4, 1.8, 1.5))
+    mesh.visual = TextureVisuals(uv=np.zeros((8, 2)), material=material)
+    for name, content in trimesh.exchange.gltf.export_gltf(trimesh.Scene(mesh)).items():
+        (tmp_path / ("car.gltf" if name == "model.gltf" else name)).write_bytes(content)
+    gltf = json.loads(path.read_text())
+    changed = json.loads(json.dumps(gltf["materials"][0]))
+    changed["pbrMetallicRoughness"]["baseColorTexture"] |= texture
+    gltf["materials"].append(changed)
+    for part in (part for mesh in gltf["meshes"] for part in mesh["primitives"]):
+        part["material"] = int(used)
+    path.write_text(json.dumps(gltf))
+    if refused and used:
+        with pytest.raises(ConfigurationError, match="bake that into its first UVs"):
+            read_mesh(path)
+    else:
+        assert len(read_mesh(path).corners) == 12
 
 
 def _boxes(*boxes: tuple[tuple[float, float, float], tuple[float, float, float]]) -> np.ndarray:

@@ -72,5 +72,7 @@ def say_card(card: DetectorCard, folder: Path) -> None:
         f"Validation AP (centre within 1 m) {card.validation['ap_centre_1m']:.3f}, threshold "
         f"{card.threshold:.3f}. Detector: {folder.resolve()}"
     )
+    if card.brought is not None:
+        say(f"The detector comes from {card.trained_on}.")
     for doubt in card.doubts:
         say(f"Warning: {doubt}")

@@ -6,8 +6,9 @@ names, except tensors and plain containers, and the rest is read as data: nothin
 and its author's libraries are not needed.
 """
 
+import re
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +18,14 @@ from torch import Tensor
 
 from skyproof.errors import StoredFileError
 
-# If there is an averaged network, it is the one in use.
-_WRAPPINGS = ("ema", "model", "state_dict", "model_state_dict")
-# Prefixes of networks that are compiled or wrapped for several devices.
-_PREFIXES = ("module.", "_orig_mod.")
+# Places of an averaged network: if there is one, it is the one in use.
+_AVERAGED = re.compile(r"(?<![a-z])(ema|swa)(?![a-z])|averag", re.IGNORECASE)
+# What a network becomes part of when it is wrapped for several devices.
+_WRAPPER = "module."
+# What a part becomes part of when it is compiled.
+_COMPILED = re.compile(r"(^|(?<=\.))_orig_mod\.")
+# Counters, which some programs leave out, and others add.
+_COUNTERS = ("num_batches_tracked", "n_averaged")
 _MOST_MODULES = 100_000
 _LONGEST_NAME = 2000
 # Half precision doubles in size, and layers may share weights.
@@ -69,23 +74,41 @@ def read_checkpoint(path: Path) -> Any:
 
 def network_of(content: Any) -> Any:
     """Finds the state dict or stored network in the result of `read_checkpoint`, or gives that."""
-    if isinstance(content, Mapping):
-        wrapped = (content.get(key) for key in _WRAPPINGS)
-        return next((value for value in wrapped if isinstance(value, Mapping | StandIn)), content)
-    return content
+    return next(iter(networks_in(content).values()), content)
+
+
+def networks_in(content: Any) -> dict[str, Any]:
+    """Finds the largest state dicts or stored networks, averaged ones first, by their places.
+
+    A place is a path of keys, such as "ema.module"; it is empty for the whole content.
+    """
+    found: dict[str, tuple[int, Any]] = {}
+    waiting = [("", content)]
+    seen = set[int]()
+    while waiting:
+        place, part = waiting.pop(0)
+        if id(part) in seen or len(place) > _LONGEST_NAME:
+            continue
+        seen.add(id(part))
+        names = [name for name, _ in _tensors_of(part) if not name.endswith(_COUNTERS)]
+        if names:
+            found[place] = len(names), part
+        if isinstance(part, Mapping):
+            below = [(f"{place}.{name}".lstrip("."), value) for name, value in part.items()]
+            waiting += [each for each in below if isinstance(each[1], Mapping | StandIn)]
+    most = max((count for count, _ in found.values()), default=0)
+    largest = [place for place, (count, _) in found.items() if count == most]
+    return {place: found[place][1] for place in averaged_first(largest)}
+
+
+def averaged_first(places: Iterable[str]) -> list[str]:
+    """Sorts places, or prefixes of names, so that those of averaged networks come first."""
+    return sorted(places, key=lambda place: not _AVERAGED.search(place))
 
 
 def state_of(network: Any) -> dict[str, Tensor]:
     """Parameters and buffers in float32; refuses tensors that claim more than their file holds."""
-    if isinstance(network, StandIn):
-        found = dict(_walk(network))
-    else:
-        items = network.items() if isinstance(network, Mapping) else ()
-        found = {
-            name: value
-            for name, value in items
-            if isinstance(name, str) and isinstance(value, Tensor)
-        }
+    found = dict(_tensors_of(network))
     for name, value in found.items():
         what = _other_than_dense(value)
         if what:
@@ -109,9 +132,10 @@ def state_of(network: Any) -> dict[str, Tensor]:
             f"The checkpoint's {len(found):,} tensors share {held:,} bytes and claim many times as "
             "much; give a file as torch.save writes it."
         )
-    for prefix in _PREFIXES:
-        if found and all(name.startswith(prefix) for name in found):
-            found = {name.removeprefix(prefix): value for name, value in found.items()}
+    found.pop("n_averaged", None)
+    found = {_COMPILED.sub("", name): value for name, value in found.items()}
+    while found and all(name.startswith(_WRAPPER) for name in found):
+        found = {name.removeprefix(_WRAPPER): value for name, value in found.items()}
     # Ultralytics stores half precision.
     return {
         name: value.detach().float() if value.is_floating_point() else value
@@ -150,9 +174,13 @@ def _other_than_dense(tensor: Tensor) -> str:
     return "without its numbers" if tensor.device.type != "cpu" else ""
 
 
-def _walk(network: StandIn) -> Iterator[tuple[str, Tensor]]:
-    """Yields a stored network's tensors under their state-dict names."""
-    for module, prefix in parts_of(network):
+def _tensors_of(network: Any) -> Iterator[tuple[str, Tensor]]:
+    """Yields the tensors of a state dict, or of a stored network by their state-dict names."""
+    if isinstance(network, Mapping):
+        for name, value in network.items():
+            if isinstance(name, str) and isinstance(value, Tensor):
+                yield name, value
+    for module, prefix in parts_of(network) if isinstance(network, StandIn) else ():
         fleeting = vars(module).get("_non_persistent_buffers_set") or ()
         for kind in ("_parameters", "_buffers"):
             for name, value in _named(module, kind):

@@ -13,13 +13,14 @@ from torchvision.models import detection
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.blueprint import Blueprint, plain_architecture
 from skyproof.detectors.card import DetectorCard, require_detector_name
-from skyproof.detectors.checkpoints import StandIn, network_of, parts_of, read_checkpoint, state_of
-from skyproof.detectors.imported import ImportedDetector, count_classes
+from skyproof.detectors.checkpoints import StandIn, networks_in, parts_of, read_checkpoint, state_of
+from skyproof.detectors.imported import ImportedDetector, class_rows
 from skyproof.detectors.loaded import save_detector
 from skyproof.detectors.validation import check_validation, frozen_card
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import file_digest, finished_folder, refuse_existing
 from skyproof.ranges import GroundResolution, check_value
+from skyproof.words import listed
 
 # Published weights whose batch norm was trained with no epsilon (torchvision's `overwrite_eps`).
 _WITHOUT_EPS = {
@@ -92,7 +93,7 @@ def import_detector(
             f"--gsd {gsd_m:g} is out of reason for images of {validation.gsd_m:g} m per pixel; "
             "give what the detector was made for."
         )
-    blueprint, state = read_blueprint(checkpoint, scale)
+    blueprint, state, origin = read_blueprint(checkpoint, scale)
     try:
         detector = ImportedDetector(name, blueprint)
     except ConfigurationError as error:
@@ -109,7 +110,7 @@ def import_detector(
         size=detector.size,
         image_size_px=(height, width),
         parameters=sum(parameter.numel() for parameter in detector.parameters()),
-        trained_on=f"elsewhere: {checkpoint.kind} checkpoint {checkpoint.path.name}",
+        trained_on=f"elsewhere: {origin}",
         brought=blueprint,
     )
     with finished_folder(folder) as partial:
@@ -117,14 +118,21 @@ def import_detector(
     return card
 
 
-def read_blueprint(checkpoint: Checkpoint, scale: float) -> tuple[Blueprint, dict[str, Tensor]]:
-    """Reads a checkpoint; `scale` is the number of its pixels per pixel of the images."""
+def read_blueprint(
+    checkpoint: Checkpoint, scale: float
+) -> tuple[Blueprint, dict[str, Tensor], str]:
+    """Reads a checkpoint; `scale` is the number of its pixels per pixel of the images.
+
+    The text says which of the weights in the file were taken.
+    """
     read = {"torchvision": _torchvision, "ultralytics": read_ultralytics}.get(checkpoint.kind)
     if read is None:
         raise ConfigurationError(
             f"a checkpoint is of torchvision or of ultralytics, not of {checkpoint.kind!r}."
         )
-    network = network_of(read_checkpoint(checkpoint.path))
+    content = read_checkpoint(checkpoint.path)
+    places = networks_in(content)
+    network = next(iter(places.values()), content)
     state = state_of(network)
     if not state:
         raise StoredFileError(
@@ -137,10 +145,18 @@ def read_blueprint(checkpoint: Checkpoint, scale: float) -> tuple[Blueprint, dic
             "checkpoint from before its training broke."
         )
     digest = file_digest(checkpoint.path)
+    tensors = len(state)
     architecture, classes, vehicles, eps = read(checkpoint, network, state, digest)
     source = (checkpoint.path.name, digest)
     plan = Blueprint(checkpoint.kind, architecture, classes, vehicles, scale, eps, *source)
-    return plan, state
+    origin = f"{checkpoint.kind} checkpoint {checkpoint.path.name}"
+    taken, *others = [repr(place[:100]) for place in places] or [""]
+    if others:
+        origin += f", the weights at {taken}, not those at {listed(others[:3])}"
+    # The anchors of an Ultralytics network are taken, too.
+    if checkpoint.kind == "torchvision" and len(state) < tensors:
+        origin += f", without {tensors - len(state)} tensors beside the network"
+    return plan, state, origin
 
 
 def _torchvision(
@@ -150,7 +166,10 @@ def _torchvision(
         raise ConfigurationError(
             "a torchvision checkpoint does not say what it is; give --architecture."
         )
-    count = count_classes(checkpoint.architecture, state)
+    count, prefix = class_rows(checkpoint.architecture, state)
+    own = {name.removeprefix(prefix): state[name] for name in state if name.startswith(prefix)}
+    state.clear()
+    state.update(own)
     # Faster R-CNN's class 0 is the background.
     first = 1 if checkpoint.architecture.startswith("fasterrcnn") else 0
     try:

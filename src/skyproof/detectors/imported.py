@@ -11,6 +11,7 @@ from torchvision.ops import sigmoid_focal_loss
 
 from skyproof.detectors.anchor_detector import AnchorDetector
 from skyproof.detectors.blueprint import ARCHITECTURES, Blueprint
+from skyproof.detectors.checkpoints import averaged_first
 from skyproof.detectors.detector import (
     PADDING_GREY,
     SMALLEST_IMAGE_PX,
@@ -127,23 +128,32 @@ def _network(blueprint: Blueprint) -> TorchvisionDetector | YoloNetwork | Anchor
     return family(model, tuple(blueprint.vehicle_classes))
 
 
-def count_classes(architecture: str, state: Mapping[str, Tensor]) -> int:
-    """The number of classes in the weights, Faster R-CNN's background included."""
+def class_rows(architecture: str, state: Mapping[str, Tensor]) -> tuple[int, str]:
+    """The number of classes in the weights, Faster R-CNN's background included; and a prefix.
+
+    The names of all tensors that belong to the network begin with it: programs that train wrap the
+    network, and may store other tensors beside it.
+    """
     if architecture not in ARCHITECTURES:
         raise ConfigurationError(
             f"--architecture expects one of {', '.join(ARCHITECTURES)}, got {architecture!r}."
         )
     name, anchors = _CLASS_ROWS[architecture.partition("_")[0]]
+    prefixes = [key.removesuffix(name) for key in state if f".{key}".endswith(f".{name}")]
+    prefix = averaged_first(prefixes)[0] if prefixes else ""
+    name = prefix + name
     rows = len(state[name]) if name in state and state[name].ndim == 1 else 0
     if not rows or rows % anchors:
         held = (
-            f"{rows} class scores in {name}, not a multiple of {anchors}" if rows else f"no {name}"
+            f"{rows} class scores in {name[:100]}, not a multiple of {anchors}"
+            if rows
+            else f"no {name[:100]}"
         )
         raise ConfigurationError(
             f"The weights do not fit {architecture}: they hold {held}; give the --architecture "
             "they were trained as."
         )
-    return rows // anchors
+    return rows // anchors, prefix
 
 
 class _Imported(TorchvisionDetector):

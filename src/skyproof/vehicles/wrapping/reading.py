@@ -2,28 +2,27 @@
 
 from __future__ import annotations
 
+import io
 import logging
 import re
-import struct
 import warnings
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-import msgspec
 import numpy as np
 import torch
 import trimesh
 from jaxtyping import Float, Int, UInt8
-from msgspec import Meta
 from PIL import Image
 from trimesh.resolvers import Resolver
 
-from skyproof.documents import parse_document
 from skyproof.errors import ConfigurationError
 from skyproof.geometry.colour import linear_to_srgb
 from skyproof.pictures import decoded
+from skyproof.vehicles.wrapping.gltf import refuse_misread
 from skyproof.vehicles.wrapping.meshes import (
     GREY,
     Material,
@@ -37,56 +36,9 @@ _FORMATS = (".obj", ".glb", ".gltf", ".ply", ".stl", ".off")
 _LARGEST_FILE = 500_000_000
 # A scene may show a part many times.
 _MOST = {"triangles": 5_000_000, "nodes": 100_000, "texels in its textures": 400_000_000}
-_COMPRESSIONS = {"KHR_draco_mesh_compression": "Draco", "EXT_meshopt_compression": "meshopt"}
 
 # Where UVs have no material trimesh makes up a picture; those of files have a format.
 _STAND_IN_PX = (2, 2)
-
-_Number = Annotated[int, Meta(ge=0, le=50_000_000)]
-_Index = Annotated[int, Meta(ge=0)]
-_NUMBERS_EACH = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
-# Places, normals and UVs of five million triangles that share no corner are 120 million.
-_MOST_NUMBERS = 150_000_000
-
-
-class _Accessor(msgspec.Struct):
-    """Of glTF: so many numbers, which the file need not even hold."""
-
-    count: _Number
-    type: str = "MAT4"
-
-
-class _Primitive(msgspec.Struct):
-    attributes: Annotated[dict[str, _Index], Meta(max_length=1000)] = {}
-    indices: _Index | None = None
-
-
-class _GltfMesh(msgspec.Struct):
-    primitives: Annotated[list[_Primitive], Meta(max_length=100_000)] = []
-
-
-class _Node(msgspec.Struct):
-    mesh: _Index | None = None
-
-
-class _Gltf(msgspec.Struct):
-    accessors: Annotated[list[_Accessor], Meta(max_length=100_000)] = []
-    meshes: Annotated[list[_GltfMesh], Meta(max_length=100_000)] = []
-    nodes: Annotated[list[_Node], Meta(max_length=100_000)] = []
-    extensionsRequired: Annotated[list[str], Meta(max_length=1000)] = []
-
-    def numbers(self) -> int:
-        """Counts what is read: every accessor, and again for every part and node that shows it."""
-        sizes = [each.count * _NUMBERS_EACH.get(each.type, 16) for each in self.accessors]
-        shown = Counter(node.mesh for node in self.nodes)
-        total = sum(sizes)
-        for index, mesh in enumerate(self.meshes):
-            for part in mesh.primitives:
-                named = (*part.attributes.values(), part.indices)
-                # One that is not there is refused by trimesh.
-                own = sum(sizes[each] for each in named if each is not None and each < len(sizes))
-                total += own * max(1, shown[index])
-        return total
 
 
 class _Neighbours(Resolver):
@@ -177,9 +129,13 @@ def read_mesh(path: Path) -> SourceMesh:
 def _read_with_trimesh(path: Path) -> SourceMesh:
     gltf = path.suffix.lower() in (".glb", ".gltf")
     if gltf:
-        _refuse_unreadable(path)
+        refuse_misread(path)
     resolver = _Neighbours(path)
-    scene = trimesh.load_scene(path, resolver=resolver, process=False)
+    content = None if gltf or path.suffix.lower() != ".obj" else _counted_from_the_start(path)
+    if content is None:
+        scene = trimesh.load_scene(path, resolver=resolver, process=False)
+    else:
+        scene = trimesh.load_scene(content, file_type="obj", resolver=resolver, process=False)
     pieces = []
     materials = []
     notes = list(dict.fromkeys(resolver.notes))
@@ -227,6 +183,37 @@ def _read_with_trimesh(path: Path) -> SourceMesh:
     )
     up = "y" if gltf else None
     return SourceMesh(corners, uvs, colours, material_of, tuple(materials), up, tuple(notes))
+
+
+def _counted_from_the_start(path: Path) -> io.BytesIO | None:
+    """Rewrites an OBJ whose faces count corners back from their own line, which is negative.
+
+    trimesh counts back from the end of the file. None is a file without such faces.
+    """
+    content = path.read_bytes().replace(b"\r\n", b"\n").replace(b"\\\n", b"")
+    if not re.search(rb"^f[^\n]*-[0-9]", content, re.MULTILINE):
+        return None
+    counts = {b"v": 0, b"vt": 0, b"vn": 0}
+    lines = content.split(b"\n")
+    for number, line in enumerate(lines):
+        kind, *corners = line.split() or [b""]
+        if kind in counts:
+            counts[kind] += 1
+        elif kind == b"f" and b"-" in line:
+            lines[number] = b"f " + b" ".join(
+                _counted(each, [*counts.values()]) for each in corners
+            )
+    return io.BytesIO(b"\n".join(lines))
+
+
+def _counted(corner: bytes, counts: Sequence[int]) -> bytes:
+    """Counts the numbers of a corner, such as -1/-1/-1, from the start of the file."""
+    numbers = []
+    for text, count in zip(corner.split(b"/"), counts, strict=False):
+        if text.startswith(b"-") and not -count <= int(text) < 0:
+            raise ValueError(f"a face names {text.decode()[:20]} of {count}")
+        numbers.append(b"%d" % (count + 1 + int(text)) if text.startswith(b"-") else text)
+    return b"/".join(numbers)
 
 
 def _refuse_too_much(path: Path, counts: Counter[str]) -> None:
@@ -303,28 +290,6 @@ def _picture_and_colour(
         r, g, b = (_srgb(values) if linear else values).tolist()
         colour = (r, g, b)
     return image, opacity, colour
-
-
-def _refuse_unreadable(path: Path) -> None:
-    """Refuses compressed glTF, which trimesh reads as zeros, and more numbers than memory holds."""
-    content = path.read_bytes()
-    if content[:4] == b"glTF":
-        (length,) = struct.unpack_from("<I", content, 12)
-        content = content[20 : 20 + length]
-    gltf: _Gltf = parse_document(
-        content, _Gltf, str(path), "give an OBJ or GLB file", error=ConfigurationError
-    )
-    if gltf.numbers() > _MOST_NUMBERS:
-        raise ConfigurationError(
-            f"{path} unfolds to more than {_MOST_NUMBERS:,} numbers, too much for one vehicle; "
-            "simplify it."
-        )
-    for extension in gltf.extensionsRequired:
-        if extension in _COMPRESSIONS:
-            raise ConfigurationError(
-                f"{path} is compressed ({_COMPRESSIONS[extension]}), which is not decoded here; "
-                "export it again without mesh compression."
-            )
 
 
 def _without_flat_triangles(path: Path, mesh: SourceMesh) -> SourceMesh:
