@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import UInt8
-from PIL import Image
+from PIL import ExifTags, Image
 
 from skyproof.errors import SkyproofError, StoredFileError
 from skyproof.files import refuse_special
@@ -18,6 +18,17 @@ LARGEST_PX = 178_956_970
 A header that claims more is refused before memory is allocated; imagery for tiles is read window by
 window, and may be larger.
 """
+
+_TURNS = {
+    2: Image.Transpose.FLIP_LEFT_RIGHT,
+    3: Image.Transpose.ROTATE_180,
+    4: Image.Transpose.FLIP_TOP_BOTTOM,
+    5: Image.Transpose.TRANSPOSE,
+    6: Image.Transpose.ROTATE_270,
+    7: Image.Transpose.TRANSVERSE,
+    8: Image.Transpose.ROTATE_90,
+}
+"""How pixels of each EXIF orientation are turned until the picture stands upright."""
 
 # Others of Pillow's readers start programs (EPS runs Ghostscript) or are rarely looked after. What
 # reads JPEG also reads the pictures in pairs (MPO) of some cameras.
@@ -85,15 +96,45 @@ def whole_picture(
     size_px: tuple[int, int] | None = None,
     error: type[SkyproofError] = StoredFileError,
 ) -> Image.Image:
-    """Decodes a whole picture as Pillow's, in RGB; `size_px`, if given, must be its size."""
+    """Decodes a whole picture as Pillow's, in RGB, upright as its EXIF orientation says.
+
+    `size_px`, if given, must be its size.
+    """
     with open_picture(path, remedy, error=error) as picture:
-        if size_px is not None and picture.size != size_px:
-            width, height = picture.size
+        if size_px is not None and upright_size_px(picture) != size_px:
+            width, height = upright_size_px(picture)
             raise error(
                 f"{path} has {width} x {height} px, expected are {size_px[0]} x {size_px[1]}; "
                 f"{remedy}."
             )
-        return _loaded(picture, "RGB", str(path), remedy, error)
+        pixels = _loaded(picture, "RGB", str(path), remedy, error)
+        # Pillow's reader of TIFF turns the pixels itself, and then knows of no orientation.
+        turn = _TURNS.get(exif_orientation(picture))
+        return pixels if turn is None else pixels.transpose(turn)
+
+
+def exif_orientation(picture: Image.Image) -> int:
+    """Returns how the pixels of an open picture are stored, 1 (upright) to 8; decodes nothing."""
+    try:
+        if picture.format == "PNG":
+            # Asked for its EXIF data, Pillow decodes a PNG that has none.
+            exif = Image.Exif()
+            exif.load(picture.info.get("exif", b""))
+        else:
+            exif = picture.getexif()
+        orientation = exif.get(ExifTags.Base.Orientation)
+    except Exception:
+        # Damaged EXIF data raise any exception, and are worth nothing.
+        return 1
+    return orientation if orientation in _TURNS else 1
+
+
+def upright_size_px(picture: Image.Image) -> tuple[int, int]:
+    """Returns width and height of an open picture as its EXIF orientation says."""
+    # Pillow's reader of TIFF has exchanged them.
+    quarter = picture.format != "TIFF" and exif_orientation(picture) >= 5
+    width, height = picture.size
+    return (height, width) if quarter else (width, height)
 
 
 def decoded(

@@ -19,9 +19,10 @@ from skyproof.imagery.labels.label import (
     Label,
     cut_to_image,
     require_classes,
+    require_size,
     sort_labels,
 )
-from skyproof.pictures import LARGEST_PX, open_picture, whole_picture
+from skyproof.pictures import LARGEST_PX, open_picture, upright_size_px, whole_picture
 
 # Frames are decoded by Pillow, which reads fewer formats than GDAL.
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
@@ -122,12 +123,7 @@ def _labels_of(
             f"{file} has no labels in {place}; an image without vehicles needs an empty text "
             "file or an entry."
         )
-    stated = annotations.sizes_px.get(name, size_px)
-    if stated != size_px:
-        raise ImageryError(
-            f"{file} has {size_px[0]} x {size_px[1]} px but {place} says {stated[0]} x "
-            f"{stated[1]}; give the images that were labelled."
-        )
+    require_size(annotations, name, size_px, file, place)
     return tuple(
         cut_to_image(label, size_px, f"{place}, label {number} of {name},")
         for number, label in enumerate(annotations.images[name], 1)
@@ -154,4 +150,4 @@ def _size_px(path: Path) -> tuple[int, int]:
                 f"{path} has more than 8 bits per pixel; convert it (gdal_translate -ot Byte "
                 "-scale)."
             )
-        return picture.size
+        return upright_size_px(picture)

@@ -6,15 +6,18 @@ read.
 
 import re
 import xml.etree.ElementTree as ElementTree
+from contextlib import suppress
 from pathlib import Path
 
 import rasterio
+from affine import Affine
+from rasterio._err import CPLE_BaseError
 from rasterio.errors import RasterioIOError
 from rasterio.io import DatasetReader
 
-from skyproof.errors import ImageryError
+from skyproof.errors import ImageryError, SkyproofError
 from skyproof.files import refuse_special
-from skyproof.pictures import LARGEST_PX
+from skyproof.pictures import LARGEST_PX, exif_orientation, open_picture
 
 RASTER_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".jp2", ".vrt")
 """Endings of the images that are searched in folders or beside labels."""
@@ -74,6 +77,37 @@ def open_raster(path: Path) -> DatasetReader:
         return _limited(rasterio.open(path, driver="VRT"), path)
 
 
+def orientation_of(dataset: DatasetReader, path: Path) -> int:
+    """Returns the EXIF orientation of a picture, 1 (upright) to 8.
+
+    GDAL reads pixels as they are stored, and a place on the map speaks of these, so that an
+    orientation counts only without one.
+    """
+    if dataset.driver == "VRT" or not dataset.transform.is_identity or dataset.gcps[0]:
+        return 1
+    try:
+        with open_picture(path, "", error=ImageryError) as picture:
+            return exif_orientation(picture)
+    except SkyproofError:
+        # Bands and depths that only GDAL reads.
+        return 1
+
+
+def stored_to_upright(orientation: int, width_px: int, height_px: int) -> Affine:
+    """Takes stored pixels (column, row) to those of the upright picture, whose size is given."""
+    mirrors_x, mirrors_y = orientation in (2, 3, 6, 7), orientation in (3, 4, 7, 8)
+    across = Affine(-1, 0, width_px, 0, 1, 0) if mirrors_x else Affine.identity()
+    down = Affine(1, 0, 0, 0, -1, height_px) if mirrors_y else Affine.identity()
+    swaps = Affine(0, 1, 0, 1, 0, 0) if orientation >= 5 else Affine.identity()
+    return across * down * swaps
+
+
+def upright_size_px(dataset: DatasetReader, orientation: int) -> tuple[int, int]:
+    """Returns width and height of the upright picture."""
+    size = dataset.width, dataset.height
+    return size if orientation < 5 else size[::-1]
+
+
 def _driver(path: Path) -> str:
     with path.open("rb") as file:
         beginning = file.read(16)
@@ -85,6 +119,9 @@ def _driver(path: Path) -> str:
 
 def _limited(dataset: DatasetReader, path: Path) -> DatasetReader:
     """Closes and refuses a raster that is too large, or keeps overviews elsewhere."""
+    with suppress(CPLE_BaseError):
+        # Damaged EXIF data, which are worth nothing, are an error when GDAL first reads them.
+        _ = dataset.colorinterp
     try:
         if dataset.width * dataset.height > LARGEST_RASTER_PX:
             raise ImageryError(

@@ -10,7 +10,12 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from skyproof.errors import ImageryError
 from skyproof.files import refuse_special
 from skyproof.imagery.labels.label import Box, ImageLabels, Label, cut_to_image, twice_note
-from skyproof.imagery.rasters import RASTER_SUFFIXES, open_raster
+from skyproof.imagery.rasters import (
+    RASTER_SUFFIXES,
+    open_raster,
+    orientation_of,
+    upright_size_px,
+)
 
 LARGEST_NUMBER = 1e9
 """No label lies farther away, in pixels, metres or degrees."""
@@ -110,7 +115,7 @@ def image_size_px(path: Path) -> tuple[int, int]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             with open_raster(path) as dataset:
-                return int(dataset.width), int(dataset.height)
+                return upright_size_px(dataset, orientation_of(dataset, path))
     except (RasterioError, OSError, ValueError) as error:
         raise ImageryError(
             f"{path} cannot be read as an image; replace it, or leave it out."

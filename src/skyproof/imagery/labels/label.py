@@ -118,6 +118,25 @@ def require_classes(labels: Labels, classes: Sequence[str], where: str) -> None:
         )
 
 
+def require_size(
+    labels: ImageLabels, name: str, size_px: tuple[int, int], image: object, where: object
+) -> None:
+    """Refuses labels that were made on an image of another size."""
+    stated = labels.sizes_px.get(name, size_px)
+    if stated == size_px:
+        return
+    advice = "give the images that were labelled"
+    if stated == size_px[::-1]:
+        advice = (
+            "if they were made on the stored pixels, whose EXIF orientation is applied here, "
+            "remove it (exiftool -Orientation=)"
+        )
+    raise ImageryError(
+        f"{image} has {size_px[0]} x {size_px[1]} px but {where} says {stated[0]} x {stated[1]}; "
+        f"{advice}."
+    )
+
+
 def cut_to_image(label: Label, size_px: tuple[int, int], where: str) -> Label:
     """Cuts an upright box at its image's edge, beyond rounding; refuses one that lies outside.
 

@@ -19,6 +19,7 @@ from skyproof.imagery.labels.label import (
     Label,
     Labels,
     require_classes,
+    require_size,
     sort_labels,
 )
 from skyproof.imagery.settings import LabelSettings
@@ -147,11 +148,7 @@ class PlacedLabels:
             if name not in labels.images:
                 self._add_unlabelled(plane, number)
                 continue
-            if labels.sizes_px.get(name, size_px) != size_px:
-                raise ImageryError(
-                    f"{path} was made for {name} of {labels.sizes_px[name]} px but {source.path} "
-                    f"has {size_px} px; give the image the labels were made on."
-                )
+            require_size(labels, name, size_px, source.path, path)
             for label in labels.images[name]:
                 x, y = label.middle
                 if 0 <= x <= size_px[0] and 0 <= y <= size_px[1]:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import rasterio
+from affine import Affine
 from numpy.typing import NDArray
 from rasterio._err import CPLE_BaseError
 from rasterio.enums import ColorInterp, MaskFlags
@@ -21,7 +22,13 @@ from rasterio.windows import Window
 
 from skyproof.errors import ImageryError
 from skyproof.imagery.labels.image_files import IMAGE_FOLDER
-from skyproof.imagery.rasters import RASTER_SUFFIXES, open_raster
+from skyproof.imagery.rasters import (
+    RASTER_SUFFIXES,
+    open_raster,
+    orientation_of,
+    stored_to_upright,
+    upright_size_px,
+)
 from skyproof.imagery.settings import SourceSettings
 from skyproof.imagery.tiles.georeference import Georeference, read_georeference
 
@@ -38,6 +45,8 @@ class Source:
     """An orthophoto that was inspected but not read; `notes` tell assumptions and repairs.
 
     Attributes:
+        width_px: its width upright, as `height_px`, its georeference and labels take it.
+        stored: takes pixels (column, row) as they are stored to those of the upright image.
         bands: the bands, from 1, taken as red, green and blue.
         value_range: the values that become black and white; None if bytes are taken as they are.
         alpha_is_colour: whether its alpha band is no mask.
@@ -46,6 +55,7 @@ class Source:
     path: Path
     width_px: int
     height_px: int
+    stored: Affine
     georeference: Georeference
     bands: tuple[int, int, int]
     value_range: tuple[float, float] | None
@@ -53,6 +63,12 @@ class Source:
     nodata: float | None
     licence: str | None
     notes: tuple[str, ...]
+
+    @property
+    def stored_size_px(self) -> tuple[int, int]:
+        """Width and height of the pixels as they are stored."""
+        size = self.width_px, self.height_px
+        return size if self.stored.b == 0 else size[::-1]
 
     @property
     def smaller_side_m(self) -> float:
@@ -153,10 +169,15 @@ def inspect_source(path: Path, settings: SourceSettings, reader: SourceReader) -
         notes: list[str] = []
         bands = _choose_bands(dataset, notes)
         alpha_is_colour = _alpha_is_colour(dataset, notes)
+        orientation = orientation_of(dataset, path)
+        if orientation > 1:
+            notes.append("turned as its EXIF orientation says, and labels are taken as made on it")
+        size_px = upright_size_px(dataset, orientation)
         source = Source(
             path=path,
-            width_px=dataset.width,
-            height_px=dataset.height,
+            width_px=size_px[0],
+            height_px=size_px[1],
+            stored=stored_to_upright(orientation, *size_px),
             georeference=read_georeference(dataset, path, settings.gsd_m, settings.crs, notes),
             bands=bands,
             value_range=None,

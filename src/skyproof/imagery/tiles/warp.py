@@ -119,7 +119,7 @@ def _fill_piece(
         values = np.clip((values - low) * (255 / (high - low)), 0, 255)
     corner = Affine.translation(window.col_off, window.row_off)
     placement = {
-        "src_transform": source.georeference.transform * corner,
+        "src_transform": source.georeference.transform * source.stored * corner,
         "src_crs": source.georeference.crs or _NO_SYSTEM,
         "dst_transform": transform,
         "dst_crs": cell.crs or _NO_SYSTEM,
@@ -151,10 +151,10 @@ def _window(
     places = to_reference_system(cell.crs, source.georeference.crs, border)
     if not np.isfinite(places).all():
         return None, False
-    inverse = ~source.georeference.transform
+    inverse = ~(source.georeference.transform * source.stored)
     pixels = np.array([inverse * place for place in places])
     low, high = pixels.min(0), pixels.max(0)
-    size_px = np.array([source.width_px, source.height_px])
+    size_px = np.array(source.stored_size_px)
     inside = bool((low >= -_TINY_PX).all() and (high <= size_px + _TINY_PX).all())
     first = np.maximum(0, np.floor(low).astype(int) - margin_px)
     count = np.minimum(size_px, np.ceil(high).astype(int) + margin_px) - first
