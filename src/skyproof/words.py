@@ -14,6 +14,7 @@ NAMES = {
 }
 _RENDERERS = {"torch": "differentiable renderer", "cycles": "Blender Cycles"}
 _THIN = "\u202f"
+_NAMED = 2
 
 
 def detector_name(name: str) -> str:
@@ -37,6 +38,26 @@ def listed(words: Sequence[str]) -> str:
         return "nothing"
     *before, last = words
     return f"{', '.join(before)} and {last}" if before else last
+
+
+def counted(count: int, noun: str) -> str:
+    """A number with its noun: "1 image", "1,200 images"."""
+    return f"{count:,} {noun}{'' if count == 1 else 's'}"
+
+
+def named(names: Sequence[str], noun: str) -> str:
+    """The number of things with some of their names: "12 images (a.jpg, b.jpg and 10 more)"."""
+    if len(names) == 1:
+        return names[0]
+    rest = len(names) - _NAMED
+    shown = names if rest <= 1 else [*names[:_NAMED], f"{rest:,} more"]
+    return f"{counted(len(names), noun)} ({listed(shown)})"
+
+
+def span(low: float, high: float, digits: int = 0) -> str:
+    """A range, "24 to 34"; one number where both are written alike."""
+    first, last = f"{low:.{digits}f}", f"{high:.{digits}f}"
+    return first if first == last else f"{first} to {last}"
 
 
 def percent(fraction: float | int | None, digits: int = 0) -> str:

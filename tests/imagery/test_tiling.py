@@ -1,5 +1,6 @@
 """Tiling: true ground resolution, anti-aliasing, one cell per place, splits by place, pairing."""
 
+import dataclasses
 import itertools
 import json
 import math
@@ -13,6 +14,9 @@ from rasterio.warp import transform as transform_places
 from scipy import ndimage
 
 from skyproof.errors import ImageryError
+from skyproof.imagery.settings import SourceSettings, tiling_for_images
+from skyproof.imagery.tiles.grid import lay_grids
+from skyproof.imagery.tiles.sources import SourceReader, find_images, inspect_source
 from skyproof.scenes.splits import SPLITS
 from tests.imagery.made import all_tiles, noise, smooth_noise, tile, write_image
 
@@ -265,6 +269,84 @@ def test_small_images_shrink_their_tiles_where_that_is_allowed(tmp_path):
     )
     sizes = {one.source: one.width_px for one in all_tiles(backgrounds)}
     assert sizes == {"a.tif": 96, "large.tif": 120}
+
+
+SCENES = tiling_for_images(192, gsd_m=0.125, imagery=True)
+"""Tiles for scenes of 24 m, which turn freely on 34.25 m."""
+
+
+def tiles_for_scenes(folder, settings=SCENES, **shapes_m):
+    """Cuts images of those widths and heights in metres; gives sides and numbers of tiles."""
+    for name, (width_m, height_m) in shapes_m.items():
+        write_image(folder / f"{name}.tif", noise(round(height_m / 0.05), round(width_m / 0.05)))
+    with SourceReader() as reader:
+        given = SourceSettings(gsd_m=0.05)
+        sources = [inspect_source(path, given, reader) for path in find_images([folder])]
+    notes: list[str] = []
+    grids = lay_grids(sources, settings, notes)
+    return {grid.name: (grid.side_m, grid.whole_cells()) for grid in grids}, notes
+
+
+@pytest.mark.parametrize(
+    ("shape_m", "side_m", "count"),
+    [
+        # Crops of 640 px at 5 cm, the smallest that serve, and those that today's tiles fit.
+        ((32, 32), 32, 1),
+        ((24, 40), 24, 1),
+        ((34.25, 34.25), 34.25, 1),
+        ((45, 45), 41.125, 1),
+        # Two tiles of 30 m use more ground than one of 32.
+        ((60, 32), 30, 2),
+        ((30, 36), 30, 1),
+    ],
+)
+def test_small_images_give_the_largest_tiles_that_use_their_ground(
+    tmp_path, shape_m, side_m, count
+):
+    large = dict.fromkeys(("x", "y"), (120, 90))
+    found, notes = tiles_for_scenes(tmp_path, **large, a=shape_m)
+    assert found["a"] == pytest.approx((side_m, count))
+    # Images of one size do not change the tiles of others.
+    assert found["x"] == found["y"] == pytest.approx((51.375, 2))
+    turns = [note for note in notes if "are turned there by at most" in note]
+    assert len(turns) == (side_m < 34.25)
+    assert all(f"tiles of {side_m:.1f} m from a.tif" in note for note in turns)
+
+
+def test_too_small_images_are_counted_in_metres(tmp_path):
+    small = dict.fromkeys("abcd", (23, 60))
+    found, notes = tiles_for_scenes(tmp_path, **small, big=(160, 160))
+    assert found.keys() == {"big"}
+    assert notes == [
+        "too small for a tile of 24.0 m and left out: 4 images (a.tif, b.tif and 2 more)"
+    ]
+    (tmp_path / "big.tif").unlink()
+    with pytest.raises(ImageryError, match=r"23\.0 x 60\.0 m, .* takes 24\.0 m on each side"):
+        tiles_for_scenes(tmp_path)
+
+
+def test_few_small_images_give_a_tile_for_every_split(tmp_path):
+    three = tiling_for_images(192, gsd_m=0.125, imagery=True)
+    three = dataclasses.replace(three, shares=(0.0, 0.25, 0.25, 0.5))
+    # At 34.25 m it holds two tiles.
+    found, _ = tiles_for_scenes(tmp_path, three, a=(73, 35))
+    assert found == {"a": (pytest.approx(24.25), 3)}
+
+
+def test_at_27_cm_a_tile_need_not_be_larger_than_a_scene(tmp_path):
+    # 96 px of 27 cm are 25.9 m.
+    settings = tiling_for_images(96, gsd_m=0.27, imagery=True)
+    found, _ = tiles_for_scenes(tmp_path, settings, **dict.fromkeys("abcd", (30, 26)))
+    assert found == {name: (pytest.approx(25.92), 1) for name in "abcd"}
+
+
+def test_crops_apart_on_a_map_go_to_all_splits(tmp_path):
+    for number in range(8):
+        place = from_origin(500_000 + 1000 * number, 5_300_000, 0.125, 0.125)
+        write_image(tmp_path / f"{number}.tif", noise(100, 100), crs="EPSG:32633", transform=place)
+    backgrounds, record = tile([tmp_path], tmp_path / "set", size_px=100)
+    assert all(backgrounds.tiles(split) for split in SPLITS)
+    assert len(record.blocks_m) == 8
 
 
 def test_png_and_determinism(tmp_path):

@@ -97,9 +97,34 @@ def test_sampled_windows_are_inside_and_use_all_of_the_tile(tmp_path, noise):
     assert min(turns) < 0.3
 
 
-@pytest.mark.parametrize("size_px", [59, 60])
-def test_windows_without_room_to_turn_are_quarter_turns_of_exact_pixels(tmp_path, noise, size_px):
+@pytest.mark.parametrize("size_px", [43, 50, 58])
+def test_windows_with_little_room_turn_as_far_as_they_fit(tmp_path, noise, size_px):
     backgrounds = _set(tmp_path, noise)
+    generator, turns = torch.Generator().manual_seed(0), []
+    for _ in range(400):
+        window = backgrounds.sample_window("train", size_px, generator=generator)
+        cosine, sine = abs(math.cos(window.rotation_rad)), abs(math.sin(window.rotation_rad))
+        reach = size_px / 2 * (cosine + sine)
+        for middle, side in ((window.centre_x_px, 80), (window.centre_y_px, 60)):
+            assert reach - 1e-6 <= middle <= side - reach + 1e-6
+        backgrounds.window(window, size_px)
+        turns.append(window.rotation_rad / (math.pi / 2))
+    # Every angle that fits is drawn, around each of the four sides: a search in small steps.
+    fits = [
+        angle
+        for angle in torch.linspace(0, math.pi / 4, 2000).tolist()
+        if size_px * (math.cos(angle) + math.sin(angle)) <= 60
+    ]
+    for quarter in range(4):
+        off = [turn - quarter for turn in (*turns, *(each - 4 for each in turns))]
+        near = [each * math.pi / 2 for each in off if abs(each) < 0.5]
+        assert len(near) > 60
+        assert max(near) == pytest.approx(fits[-1], rel=0.1)
+        assert min(near) == pytest.approx(-fits[-1], rel=0.1)
+
+
+def test_windows_without_room_to_turn_are_quarter_turns_of_exact_pixels(tmp_path, noise):
+    backgrounds, size_px = _set(tmp_path, noise), 60
     generator, turns, corners = torch.Generator().manual_seed(0), set(), set()
     for _ in range(120):
         window = backgrounds.sample_window("train", size_px, generator=generator)
@@ -114,7 +139,7 @@ def test_windows_without_room_to_turn_are_quarter_turns_of_exact_pixels(tmp_path
         turns.add(quarters)
         corners.add((left, top))
     assert len(turns) == 4
-    assert {top for _, top in corners} == {*range(60 - size_px + 1)}
+    assert {top for _, top in corners} == {0}
     assert max(left for left, _ in corners) == 80 - size_px
 
 

@@ -76,7 +76,7 @@ def still(monkeypatch):
     monkeypatch.setattr(placing, "TURN_RAD", 0.0)
 
 
-@pytest.mark.parametrize(("size_px", "turned"), [(160, True), (300, False)])
+@pytest.mark.parametrize(("size_px", "turned"), [(160, True), (300, True), (SIDE_PX, False)])
 def test_vehicles_stand_where_others_were_removed_whatever_the_windows_turn(
     tmp_path, still, size_px, turned
 ):

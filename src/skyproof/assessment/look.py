@@ -29,7 +29,7 @@ from skyproof.results.statistics.planning import (
     tiles_to_decide,
     tiles_to_show,
 )
-from skyproof.words import percent
+from skyproof.words import counted, percent, span
 
 _LENGTHS_M = (3.0, 7.0)
 """Median lengths of labelled vehicles that a right resolution may give: cars are 4.5 m long."""
@@ -116,25 +116,19 @@ def _imagery(sources: Sequence[Source], cells: Sequence[Cell]) -> str:
     tiles_m = [cell.side_m for cell in cells]
     used = sum(side_m**2 for side_m in tiles_m) / sum(w * h for w, h in sides_m)
     return (
-        f"{len(sources)} images of {_span(min(widths), max(widths))} x "
-        f"{_span(min(heights), max(heights))} m at {_span(finest, coarsest, 1)} cm per pixel, "
-        f"{placed} of them on a map: about {len(cells):,} tiles of "
-        f"{_span(min(tiles_m), max(tiles_m))} m, which cover {percent(min(used, 1.0))} of them"
+        f"{counted(len(sources), 'image')} of {span(min(widths), max(widths))} x "
+        f"{span(min(heights), max(heights))} m at {span(finest, coarsest, 1)} cm per pixel, "
+        f"{placed} of them on a map: about {counted(len(cells), 'tile')} of "
+        f"{span(min(tiles_m), max(tiles_m))} m, which cover {percent(min(used, 1.0))} of them"
     )
-
-
-def _span(low: float, high: float, digits: int = 0) -> str:
-    first, last = f"{low:.{digits}f}", f"{high:.{digits}f}"
-    return first if first == last else f"{first} to {last}"
 
 
 def _equal_notes(sources: Sequence[Source], notes: Sequence[str]) -> Iterator[str]:
     """Tells equal notes on many images once."""
     counts = Counter(note for source in sources for note in source.notes)
     for note, count in counts.items():
-        yield f"{count} of {len(sources)} images: {note}"
-    if notes:
-        yield notes[0] if len(notes) == 1 else f"{notes[0]}, and so are {len(notes) - 1} others"
+        yield f"{count} of {counted(len(sources), 'image')}: {note}"
+    yield from notes
 
 
 def _labels(
@@ -147,7 +141,7 @@ def _labels(
     """Tells number and length of the labelled vehicles, and refuses impossible lengths."""
     classes = vehicle_classes(labels, settings)
     lengths_m, count = _lengths_m(labels, classes, sources, grids)
-    told = f"{count:,} labelled vehicles"
+    told = counted(count, "labelled vehicle")
     if len(lengths_m) < _FEW:
         return told
     middle_m = median(lengths_m)

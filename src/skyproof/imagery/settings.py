@@ -34,8 +34,9 @@ class TilingSettings:
     Attributes:
         gsd_m: metres per pixel of the tiles.
         size_px: side of the tiles in pixels.
-        minimum_px: side to which tiles may shrink until there is one for each split, or else the
-            imagery is refused; with None a split may stay empty.
+        minimum_px: side of the images that are cut from the tiles, to which tiles may shrink until
+            there is one for each split, or else the imagery is refused; with None tiles keep their
+            size and a split may stay empty.
         shares: shares of the tiles that go to train, validation, attack and test; a split with a
             share of 0 gets none.
     """
@@ -52,6 +53,13 @@ class TilingSettings:
                 "the shares of train, validation, attack and test expect a sum of 1, got "
                 f"{' '.join(f'{share:g}' for share in self.shares)}."
             )
+
+    @property
+    def turning_px(self) -> int:
+        """Side of the smallest tiles in which those images can turn freely."""
+        if self.minimum_px is None:
+            return self.size_px
+        return min(self.size_px, _turning_px(self.minimum_px))
 
     @property
     def split_shares(self) -> dict[Split, float]:
@@ -120,9 +128,13 @@ class LabelSettings:
 def tiling_for_images(image_px: int, *, gsd_m: float, imagery: bool) -> TilingSettings:
     """Returns settings of tiles from which square images of `image_px` can be cut at any heading.
 
-    Tiles of `imagery` may shrink to the window of one image.
+    Tiles of small `imagery` may shrink to one image, at fewer headings.
     """
-    window_px = math.ceil(image_px * math.sqrt(2)) + 2
+    window_px = _turning_px(image_px)
     if imagery:
-        return TilingSettings(gsd_m=gsd_m, size_px=window_px * 3 // 2, minimum_px=window_px)
+        return TilingSettings(gsd_m=gsd_m, size_px=window_px * 3 // 2, minimum_px=image_px)
     return TilingSettings(gsd_m=gsd_m, size_px=window_px + _ROOM_PX)
+
+
+def _turning_px(image_px: int) -> int:
+    return math.ceil(image_px * math.sqrt(2)) + 2

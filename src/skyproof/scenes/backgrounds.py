@@ -195,7 +195,7 @@ class BackgroundSet:
         return self.sample_window_on(tile, size_px, generator=generator)
 
     def window_tiles(self, split: str, size_px: int) -> list[BackgroundTile]:
-        """The tiles of a split for windows: those with room to turn, if there are any."""
+        """The tiles of a split that are large enough for windows."""
         tiles = self.tiles(split)
         fitting = [tile for tile in tiles if min(tile.width_px, tile.height_px) >= size_px]
         if not fitting:
@@ -203,19 +203,26 @@ class BackgroundSet:
                 f"{self.folder} has no {split} tile of at least {size_px} px, as a window of that "
                 "size needs; choose a smaller image or cut larger tiles."
             )
-        return [tile for tile in fitting if _has_room_to_turn(tile, size_px)] or fitting
+        return fitting
 
     def sample_window_on(
         self, tile: BackgroundTile, size_px: int, *, generator: torch.Generator
     ) -> BackgroundWindow:
-        """Draws rotation and place on a tile: by quarters and whole pixels without room to turn."""
+        """Draws a place on a tile, and a rotation at which the window fits there.
+
+        Without any room to turn, the rotation is by quarters and the place on whole pixels.
+        """
         turn, x, y = torch.rand(3, dtype=torch.float64, generator=generator).tolist()
-        if not _has_room_to_turn(tile, size_px):
+        room_rad = room_to_turn_rad(size_px, min(tile.width_px, tile.height_px))
+        if not room_rad:
             left_px = math.floor(x * (tile.width_px - size_px + 1))
             top_px = math.floor(y * (tile.height_px - size_px + 1))
             middle_px = size_px / 2 + left_px, size_px / 2 + top_px
             return BackgroundWindow(tile.id, *middle_px, math.floor(4 * turn) * math.pi / 2)
         rotation_rad = 2 * math.pi * turn
+        if room_rad < math.pi / 4:
+            quarters, within = divmod(4 * turn, 1)
+            rotation_rad = (quarters * math.pi / 2 + (2 * within - 1) * room_rad) % (2 * math.pi)
         reach = size_px / 2 * (abs(math.cos(rotation_rad)) + abs(math.sin(rotation_rad)))
         return BackgroundWindow(
             tile=tile.id,
@@ -235,5 +242,14 @@ def on_tile(
     return column, row
 
 
-def _has_room_to_turn(tile: BackgroundTile, size_px: int) -> bool:
-    return min(tile.width_px, tile.height_px) >= math.ceil(size_px * math.sqrt(2))
+def room_to_turn_rad(size_px: int, side_px: int) -> float:
+    """How far a window can turn either way from the sides of a square tile that holds it.
+
+    It is 0 without room, and pi / 4 where every rotation fits. A window that is turned by a up to
+    pi / 4 reaches over size (cos a + sin a) = size sqrt(2) cos(pi / 4 - a) pixels.
+    """
+    if side_px <= size_px:
+        return 0.0
+    if side_px >= math.ceil(size_px * math.sqrt(2)):
+        return math.pi / 4
+    return math.pi / 4 - math.acos(side_px / (size_px * math.sqrt(2)))

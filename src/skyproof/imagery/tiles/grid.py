@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -22,9 +22,13 @@ from skyproof.imagery.tiles.georeference import (
 )
 from skyproof.imagery.tiles.sources import Source
 from skyproof.ranges import is_name
+from skyproof.scenes.backgrounds import room_to_turn_rad
 from skyproof.scenes.splits import Split
+from skyproof.words import named, span
 
 FULL_SHARE = 0.98
+NEARLY = 0.95
+"""Share of the most ground that any tiles use, from which larger tiles are preferred."""
 MOST_CELLS = 500_000
 """Tiles of one grid, as many as a thousand square kilometres have at the usual size."""
 GLOBAL_FROM_TILES = 8
@@ -37,13 +41,16 @@ BlockKey = tuple[str, int, int]
 Extent = tuple[float, float, float, float]
 """Left, bottom, right, top in a grid's metres."""
 
+_Layout = tuple[str, CRS | None, dict[int, Extent]]
+"""Name, system and extents of a grid."""
+
 
 @dataclass(frozen=True)
 class Cell:
     """A square of ground that may become a tile.
 
     `sources` are the numbers of those that may show it, in the order of their precedence; `block`
-    is the name of the grid, row and column.
+    is a name of the grid, row and column.
     """
 
     id: str
@@ -162,32 +169,59 @@ def lay_grids(sources: Sequence[Source], settings: TilingSettings, notes: list[s
     The system is that of the first source if a unit there is a metre on the ground, so that imagery
     need not be resampled, and otherwise the UTM zone. Cells lie at multiples of their size, so that
     a place falls in the same cell in every run, except in imagery of fewer than eight cells across.
-    Cells shrink, at most to the minimum of the settings, until there is one for each split.
+    Cells shrink until there is one for each split, at most to `turning_px`. Where sources hold no
+    such cell, or all sources together too few, they shrink on to those that use most ground.
     """
     layouts = [_layout(sources, group) for group in _groups(sources)]
     size, gsd_m = settings.size_px, settings.gsd_m
-    minimum_px = settings.minimum_px or size
     wanted = len(settings.split_shares)
     while True:
-        grids = [_grid(*layout, size, minimum_px, gsd_m) for layout in layouts]
-        if size <= minimum_px or sum(grid.whole_cells() for grid in grids) >= wanted:
+        grids = [_grid(*layout, size, settings.turning_px, gsd_m) for layout in layouts]
+        few = sum(grid.whole_cells() for grid in grids) < wanted
+        if size <= settings.turning_px or not few:
             break
-        size = max(minimum_px, round(size * SHRINK))
+        size = max(settings.turning_px, round(size * SHRINK))
+    least_px = settings.minimum_px or size
+    if least_px < settings.turning_px:
+        grids = [
+            _shrunk(grid, layout, least_px, few=few) if few or not grid.whole_cells() else grid
+            for grid, layout in zip(grids, layouts, strict=True)
+        ]
     kept = [grid for grid in grids if grid.whole_cells()]
-    notes += [
-        f"{sources[i].path.name} is too small for a tile of {grid.size_px} px; it is left out"
-        for grid in grids
-        if not grid.whole_cells()
-        for i in grid.extents
-    ]
     if not kept:
         left, bottom, right, top = grids[0].extents[0]
+        remedy = "" if settings.minimum_px else " or a smaller --tiling.size-px"
         raise ImageryError(
-            f"{sources[0].path} is {(right - left) / gsd_m:.0f} x {(top - bottom) / gsd_m:.0f} px "
-            f"at {gsd_m} m per pixel, and no image holds a whole tile of {minimum_px} px; give "
-            "larger images or a smaller size."
+            f"{sources[0].path} shows {right - left:.1f} x {top - bottom:.1f} m, and no image "
+            f"holds a whole tile, which takes {least_px * gsd_m:.1f} m on each side ({least_px} px "
+            f"of {gsd_m:g} m); give larger images{remedy}."
         )
+    small = [sources[i].path.name for grid in grids if not grid.whole_cells() for i in grid.extents]
+    if small:
+        side_m = least_px * gsd_m
+        notes.append(
+            f"too small for a tile of {side_m:.1f} m and left out: {named(small, 'image')}"
+        )
+    notes += _tight_notes(kept, sources, settings)
     return kept
+
+
+def _tight_notes(
+    grids: Sequence[Grid], sources: Sequence[Source], settings: TilingSettings
+) -> Iterator[str]:
+    """Tells of tiles in which scenes cannot turn freely."""
+    tight = [grid for grid in grids if grid.size_px < settings.turning_px]
+    if tight and settings.minimum_px is not None:
+        names = [sources[i].path.name for grid in tight for i in grid.extents]
+        sides_px = [grid.size_px for grid in tight]
+        turn_deg = math.degrees(room_to_turn_rad(settings.minimum_px, max(sides_px)))
+        scene_m, free_m = (px * settings.gsd_m for px in (settings.minimum_px, settings.turning_px))
+        yield (
+            f"tiles of {span(min(sides_px) * settings.gsd_m, max(sides_px) * settings.gsd_m, 1)} m "
+            f"from {named(names, 'image')}: scenes of {scene_m:.1f} m are turned there by at most "
+            f"{turn_deg:.0f} degrees off the sides of a tile (freely from {free_m:.1f} m on), so "
+            "the result covers fewer views of this ground"
+        )
 
 
 def _grid(
@@ -208,9 +242,29 @@ def _grid(
         size_px = max(minimum_px, round(size_px * SHRINK))
 
 
-def _layout(
-    sources: Sequence[Source], group: Sequence[int]
-) -> tuple[str, CRS | None, dict[int, Extent]]:
+def _shrunk(grid: Grid, layout: _Layout, least_px: int, *, few: bool) -> Grid:
+    """Shrinks cells to the largest that use nearly as much ground as any; with `few`, to the most.
+
+    No cell is smaller than `least_px`.
+    """
+    sides_px = [
+        side_m / grid.gsd_m
+        for left, bottom, right, top in grid.extents.values()
+        for side_m in (right - left, top - bottom)
+    ]
+    # Where a side holds a whole number of cells, with the slack of `places`.
+    sizes = {
+        int((side_px + 0.5) / number)
+        for side_px in sides_px
+        for number in range(1, int((side_px + 0.5) / least_px) + 1)
+    }
+    smaller = [size for size in sorted(sizes) if least_px <= size < grid.size_px]
+    grids = [*(_grid(*layout, size, size, grid.gsd_m) for size in smaller), grid]
+    worth = [each.whole_cells() * (1.0 if few else each.side_m**2) for each in grids]
+    return [each for each, it in zip(grids, worth, strict=True) if it >= NEARLY * max(worth)][-1]
+
+
+def _layout(sources: Sequence[Source], group: Sequence[int]) -> _Layout:
     """Returns name, system and extents of the grid of sources that touch."""
     first = sources[group[0]]
     crs = first.georeference.crs
@@ -245,6 +299,10 @@ def _groups(sources: Sequence[Source]) -> list[list[int]]:
 def cells_of(grid: Grid) -> list[Cell]:
     """Lists the cells that the sources of a grid may fill, row by row, each a block of its own."""
     cells = []
+    blocks = grid.name
+    if grid.crs is not None and (grid.left_m or grid.top_m):
+        # Rows and columns from a corner of its own are no places of another grid.
+        blocks = f"{grid.name}-e{math.floor(grid.left_m)}-n{math.floor(grid.top_m)}"
     for (row, column), numbers in grid.filled.items():
         left_m, top_m = grid.left_m + column * grid.side_m, grid.top_m - row * grid.side_m
         if grid.crs is None:
@@ -259,7 +317,7 @@ def cells_of(grid: Grid) -> list[Cell]:
                 "the image."
             )
         place = (tile_id, grid.crs, left_m, top_m, grid.size_px, grid.gsd_m)
-        cells.append(Cell(*place, tuple(sorted(numbers)), (grid.name, row, column)))
+        cells.append(Cell(*place, tuple(sorted(numbers)), (blocks, row, column)))
     return cells
 
 

@@ -31,6 +31,7 @@ from skyproof.scenes.background_index import BackgroundTile, save_map, save_tile
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.sensor import Sensor
 from skyproof.scenes.splits import SPLITS, Split
+from skyproof.words import counted
 
 GROUND_INDEX = "index.geojson"
 
@@ -205,18 +206,18 @@ def _cut_tile(
 
 
 def _refuse_too_few(count: int, settings: TilingSettings) -> None:
+    least_px = settings.minimum_px or settings.size_px
     if not count:
         raise ImageryError(
-            f"No tile of {settings.size_px} px at {settings.gsd_m} m per pixel holds data: more "
-            "than 2 % of each is empty (nodata or beyond the border); give larger images or a "
-            "smaller size."
+            f"No tile of {least_px * settings.gsd_m:.1f} m holds data: more than 2 % of each is "
+            "empty (nodata or beyond the border); give larger images."
         )
     splits = len(settings.split_shares)
     if settings.minimum_px is not None and count < splits:
         raise ImageryError(
-            f"The imagery yields {count} tiles of at least {settings.minimum_px} px at "
-            f"{settings.gsd_m} m per pixel but the {splits} splits need {splits}; give more or "
-            "larger images."
+            f"The imagery yields {counted(count, 'tile')} of at least "
+            f"{least_px * settings.gsd_m:.1f} m, and the {splits} splits need {splits}; give more "
+            "or larger images."
         )
 
 
