@@ -1,12 +1,15 @@
 """`assess` looks at imagery, labels and checkpoint before it makes anything."""
 
+import json
+
 import pytest
 import torch
 from PIL import Image
+from rasterio.transform import from_origin
 
 from skyproof.results.statistics.acceptance import fewest_tiles
 from tests.cli.conftest import Skyproof
-from tests.imagery.made import noise
+from tests.imagery.made import features, noise, shape, smooth_noise, write_image, written
 
 CAR_PX = (36, 15)
 """4.5 x 1.9 m at 12.5 cm per pixel."""
@@ -100,3 +103,29 @@ def test_errors_name_the_options_of_assess(call, photographs, tmp_path, skyproof
         "names the classes car, bus; say with --label-classes"
     )
     assert not (tmp_path / "run").exists()
+
+
+def test_the_field_of_classes_is_asked_for_and_named(tmp_path, skyproof: Skyproof):
+    east, north = 500_000.0, 5_000_000.0
+    place = {"crs": "EPSG:32631", "transform": from_origin(east, north, 0.125, 0.125)}
+    write_image(tmp_path / "town.tif", smooth_noise(960, 960), **place)
+    points = [
+        shape("Point", [east + 10 + 20 * number, north - 10 - 20 * number]) for number in range(4)
+    ]
+    document = features(
+        *points,
+        properties=[{"kind": kind, "by": "me"} for kind in ("car", "tree", "car", "van")],
+        crs={"type": "name", "properties": {"name": "EPSG:32631"}},
+    )
+    path = written(tmp_path / "town.geojson", document)
+    ground = ["ground", tmp_path / "town.tif", "--labels.path", path]
+    small = ["--tiling.size-px", 96, "--out", tmp_path / "tiles"]
+    skyproof(*ground, *small).refused("kind (car, tree, van)", "--labels.classes kind=car")
+    assess = ["assess", "retinanet", "--imagery", tmp_path / "town.tif", "--labels", path]
+    skyproof(*assess, "--plan", "--out", tmp_path / "run").refused("--label-classes kind=car")
+    words = [*assess, "--label-classes", "car", "van", "--plan", "--out", tmp_path / "run"]
+    assert "from its field 'kind'" in skyproof(*words).out
+    assert skyproof(*ground, "--labels.classes", "kind=car", "kind=van", *small).code == 0
+    counts = json.loads((tmp_path / "tiles/tiling.json").read_text())["counts"].values()
+    assert sum(count["vehicles"] for count in counts) == 3
+    assert sum(count["ignored"] for count in counts) >= 1

@@ -1,10 +1,12 @@
 """Small orthophotos that tests make themselves."""
 
+import json
 import warnings
 
 import numpy as np
 import rasterio
 import torch
+from PIL import Image
 from rasterio.transform import Affine
 
 from skyproof.imagery.settings import SourceSettings, TilingSettings
@@ -74,3 +76,31 @@ def tile(
 def all_tiles(backgrounds):
     """Tiles of all splits."""
     return [one for split in SPLITS for one in backgrounds.tiles(split)]
+
+
+def picture(path, size=(200, 100)):
+    """Writes a black image."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.new("RGB", size).save(path)
+
+
+def written(path, text):
+    """Writes text, or plain values as JSON; returns the path."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text if isinstance(text, str) else json.dumps(text))
+    return path
+
+
+def features(*geometries, properties=None, **members):
+    """A GeoJSON document of geometries that share their properties, or have one set each."""
+    each = properties if isinstance(properties, list) else [properties] * len(geometries)
+    rows = [
+        {"type": "Feature", "geometry": one, "properties": its}
+        for one, its in zip(geometries, each, strict=True)
+    ]
+    return {"type": "FeatureCollection", "features": rows} | members
+
+
+def shape(kind, coordinates):
+    """A GeoJSON geometry."""
+    return {"type": kind, "coordinates": coordinates}

@@ -9,26 +9,14 @@ import numpy as np
 import pytest
 import rasterio
 import shapely
-from PIL import Image
 
 from skyproof.errors import ImageryError
 from skyproof.imagery.labels.files import read_labels
 from skyproof.imagery.labels.label import GroundLabels, ImageLabels, Label
 from skyproof.imagery.tiles.sources import find_images
-from tests.imagery.made import noise
+from tests.imagery.made import features, noise, picture, shape, written
 
 UPRIGHT = ((30.0, 15.0), (50.0, 15.0), (50.0, 25.0), (30.0, 25.0))
-
-
-def picture(path, size=(200, 100)):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    Image.new("RGB", size).save(path)
-
-
-def written(path, text):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text if isinstance(text, str) else json.dumps(text))
-    return path
 
 
 def coco(**changes):
@@ -338,15 +326,6 @@ def test_text_of_no_known_form(tmp_path):
     written(tmp_path / "one.txt", "")
     with pytest.raises(ImageryError, match=r"all its \.txt files are empty"):
         read_labels(tmp_path)
-
-
-def features(*geometries, properties=None, **members):
-    rows = [{"type": "Feature", "geometry": one, "properties": properties} for one in geometries]
-    return {"type": "FeatureCollection", "features": rows} | members
-
-
-def shape(kind, coordinates):
-    return {"type": kind, "coordinates": coordinates}
 
 
 def crs(name):

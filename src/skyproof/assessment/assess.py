@@ -141,7 +141,8 @@ def assess(
         imagery: orthophotos or folders of them; ground is drawn without any.
         gsd: metres per pixel of imagery that does not state it.
         labels: file or folder of labels of the vehicles in the imagery.
-        label_classes: vehicle classes of the labels.
+        label_classes: vehicle classes of the labels; FIELD=CLASS also names the field of a vector
+            file.
         vehicle_classes: vehicle classes of a checkpoint or of a MAITE model.
         architecture: architecture of a torchvision checkpoint.
         detector_gsd: metres per pixel that a checkpoint or a callable was made for.

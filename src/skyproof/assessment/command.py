@@ -65,7 +65,8 @@ class Request:
         gsd: metres per pixel of imagery that does not state it.
         labels: vehicle labels of the imagery: COCO, YOLO or DOTA text, GeoJSON, GeoPackage or
             Shapefile. They freeze the threshold.
-        label_classes: vehicle classes of the labels, if they have several classes.
+        label_classes: vehicle classes of the labels, if they have several classes. FIELD=CLASS
+            also names the field of a vector file.
         vehicle_classes: vehicle classes of a checkpoint (Ultralytics: names, torchvision: numbers).
         architecture: architecture of a torchvision checkpoint, as for `skyproof import`.
         detector_gsd: metres per pixel that a checkpoint was made for (0.125).

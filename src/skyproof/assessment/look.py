@@ -93,7 +93,8 @@ def _look_at_imagery(its: Subject, mistakes: list[SkyproofError]) -> tuple[int, 
     with _noted(mistakes):
         if request.labels is not None:
             settings = LabelSettings(request.labels, request.label_classes)
-            sentences.append(_labels(read_labels(request.labels), settings, sources, grids, its))
+            labels = read_labels(request.labels, request.label_classes)
+            sentences += [_labels(labels, settings, sources, grids, its), *labels.notes]
     with _noted(mistakes):
         if request.requirement is not None:
             said = f"The imagery holds at most {test_tiles} test tiles"

@@ -93,7 +93,7 @@ class Ground:
         from skyproof.randomness import generator_of
 
         path = self.labels.path
-        labels = None if path is None else (read_labels(path), self.labels)
+        labels = None if path is None else (read_labels(path, self.labels.classes), self.labels)
         with progress_bar("ground tiles") as update:
             return tile_imagery(
                 self.sources,

@@ -118,7 +118,7 @@ class LabelSettings:
     Attributes:
         path: labels as COCO, YOLO text, DOTA text, GeoJSON, GeoPackage or Shapefile.
         classes: vehicle classes, if the labels have several classes. Other objects become ignore
-            regions.
+            regions. FIELD=CLASS also names the field of a vector file.
     """
 
     path: Path | None = None

@@ -1,5 +1,6 @@
 """Reads labels of any of the known forms: COCO, YOLO text, DOTA oriented boxes, vector files."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +32,10 @@ class _LabelForm(msgspec.Struct):
     annotations: msgspec.Raw | msgspec.UnsetType = msgspec.UNSET
 
 
-def read_labels(path: Path) -> Labels:
+def read_labels(path: Path, classes: Sequence[str] = ()) -> Labels:
     """Reads labels of any known form.
+
+    The wanted `classes` tell which field of a vector file names classes, also as FIELD=CLASS.
 
     A folder is YOLO text if it holds `data.yaml` or one `.names` file, COCO if it holds
     `annotations.json` (as our own datasets do), and DOTA text by its `.txt` files, or those in
@@ -46,12 +49,12 @@ def read_labels(path: Path) -> Labels:
     if not path.is_file():
         raise ImageryError(f"{path} is missing; give labels as {_FORMS}.")
     if path.suffix.lower() in (".gpkg", ".shp"):
-        return read_ground_labels(path)
+        return read_ground_labels(path, classes)
     if path.suffix.lower() not in (".json", ".geojson"):
         raise ImageryError(f"{path} is not of a known label form; expected {_FORMS}.")
     kind: _LabelForm = read_document(path, _LabelForm, "replace the file", error=ImageryError)
     if kind.type == "FeatureCollection":
-        return read_ground_labels(path, crs_name(path, kind.crs))
+        return read_ground_labels(path, classes, crs_name(path, kind.crs))
     if kind.images is not msgspec.UNSET and kind.annotations is not msgspec.UNSET:
         return read_coco_labels(path)
     raise ImageryError(

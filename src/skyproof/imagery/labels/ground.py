@@ -1,24 +1,27 @@
 """Reads labels on the ground: points and outlines of GeoJSON, GeoPackage and Shapefile."""
 
+from __future__ import annotations
+
 import re
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from skyproof.errors import ImageryError
+from skyproof.imagery.labels.class_field import chosen_field, name_classes, usual_fields
 from skyproof.imagery.labels.image_files import LARGEST_NUMBER
 from skyproof.imagery.labels.label import GroundLabels, Label, Point, twice_note
 from skyproof.imagery.settings import names_a_system
 
-_CLASS_KEYS = ("class", "category", "label", "type")
-"""Properties that may name an object's class, in the order of their precedence."""
-_UNNAMED = "vehicle"
-"""The class of an object without a class name."""
+if TYPE_CHECKING:
+    from geopandas import GeoDataFrame
+
 # First bytes of GeoPackages and Shapefiles; everything else is GeoJSON.
 _BEGINNINGS = {".gpkg": b"SQLite format 3\0", ".shp": b"\0\0\x27\x0a"}
+_LABEL_GEOMETRY = re.compile("Point|Polygon|Surface|Collection|Unknown")
 
 
 def crs_name(path: Path, member: Any) -> str | None:
@@ -38,16 +41,15 @@ def _unknown_system(path: Path) -> ImageryError:
     )
 
 
-def read_ground_labels(path: Path, system_name: str | None = None) -> GroundLabels:
-    """Reads points and outlines of a vector file with one layer.
+def read_ground_labels(
+    path: Path, wanted: Sequence[str] = (), system_name: str | None = None
+) -> GroundLabels:
+    """Reads points and outlines of a vector file, and the classes in the field that names them.
 
     The four corners of an outline are kept; any other outline becomes the upright box around it.
-    GDAL reads GeoJSON whose `crs` member names an unknown system as WGS 84. A property `ignore`
-    that is true marks a region that is not scored.
+    Each part of an object is a label of its own. GDAL reads GeoJSON whose `crs` member names an
+    unknown system as WGS 84. A property `ignore` that is true marks a region that is not scored.
     """
-    # Loaded only for labels on the ground: it takes a second.
-    import geopandas
-
     known = _BEGINNINGS.get(path.suffix.lower())
     if known is not None and not path.read_bytes().startswith(known):
         raise ImageryError(
@@ -55,17 +57,7 @@ def read_ground_labels(path: Path, system_name: str | None = None) -> GroundLabe
         )
     # GDAL is told which reader to take, because some of them fetch files from elsewhere.
     place = path if known is not None else f"GeoJSON:{path}"
-    try:
-        layers = geopandas.list_layers(place)
-        with warnings.catch_warnings():
-            # The errors below name the objects that GDAL warns of.
-            warnings.simplefilter("ignore")
-            frame = geopandas.read_file(place, layer=0, on_invalid="ignore")
-    except Exception as error:  # GDAL, pyogrio, shapely and pyproj each raise their own types
-        reason = " ".join(str(error).split())[:200]
-        raise ImageryError(f"{path} cannot be read ({reason}); give another file.") from error
-    if len(layers) > 1:
-        raise ImageryError(f"{path} holds {len(layers)} layers; give a file of one (ogr2ogr).")
+    frame, notes = _read_layer(place, path, wanted)
     if frame.empty or "geometry" not in frame:
         raise ImageryError(f"{path} holds no objects (features); give another file.")
     crs = None if frame.crs is None else frame.crs.to_string()
@@ -73,17 +65,21 @@ def read_ground_labels(path: Path, system_name: str | None = None) -> GroundLabe
         crs = crs if re.search("4326|CRS84", system_name) else None
     if crs is None:
         raise _unknown_system(path)
-    labels: list[Label] = []
     # Integers stay integers if some objects have none.
     properties = frame.drop(columns="geometry").convert_dtypes()
     records = properties.astype(object).where(properties.notna(), None).to_dict("records")
-    for number, (geometry, record) in enumerate(zip(frame.geometry, records, strict=True), 1):
+    names, guesses = name_classes(records, wanted, path)
+    labels: list[Label] = []
+    parts: list[int] = []
+    rows = zip(frame.geometry, records, names, strict=True)
+    for number, (geometry, record, name) in enumerate(rows, 1):
         where = f"{path} object {number}"
         shapes = _shapes(geometry)
         if not shapes:
             raise ImageryError(
                 f"{where} is neither a point nor a polygon with coordinates; correct it."
             )
+        parts.append(len(shapes))
         for corners in shapes:
             if crs == "EPSG:4326" and any(abs(x) > 180 or abs(y) > 90 for x, y in corners):
                 raise ImageryError(
@@ -91,12 +87,71 @@ def read_ground_labels(path: Path, system_name: str | None = None) -> GroundLabe
                     "and latitude; name the reference system in the file, or convert it (ogr2ogr "
                     "-t_srs EPSG:4326)."
                 )
-            # Shapefiles have no truth values, only numbers.
-            ignored = str(record.get("ignore")) in ("True", "1")
-            labels.append(Label(_class_name(record, where), corners, ignored))
+            labels.append(Label(name, corners, _is_ignored(record)))
     single = tuple(dict.fromkeys(labels))
-    names = dict.fromkeys(label.class_name for label in single)
-    return GroundLabels(tuple(names), single, crs, twice_note(len(labels) - len(single), path))
+    several = [count for count in parts if count > 1]
+    if several:
+        notes += (
+            f"{len(several)} objects of {path} have several parts, which count as {sum(several)} "
+            "labels",
+        )
+    notes += guesses + twice_note(len(labels) - len(single), path)
+    classes = dict.fromkeys(label.class_name for label in single)
+    return GroundLabels(tuple(classes), single, crs, notes)
+
+
+def _is_ignored(record: Mapping[str, Any]) -> bool:
+    # Shapefiles have no truth values, only numbers, and often names in capitals.
+    return any(
+        str(value) in ("True", "1") for key, value in record.items() if key.casefold() == "ignore"
+    )
+
+
+def _read_layer(
+    place: Path | str, path: Path, wanted: Sequence[str]
+) -> tuple[GeoDataFrame, tuple[str, ...]]:
+    """Reads the one layer of a vector file that may hold labels, and tells of the others."""
+    # Loaded only for labels on the ground: it takes a second.
+    import geopandas
+
+    try:
+        with warnings.catch_warnings():
+            # The errors of objects name what GDAL warns of.
+            warnings.simplefilter("ignore")
+            layers = geopandas.list_layers(place)["name"].tolist()
+            fitting = layers if len(layers) == 1 else _label_layers(place, layers, wanted)
+            name = next(iter([*fitting, *layers]))
+            frame = geopandas.read_file(place, layer=name, on_invalid="ignore")
+    except Exception as error:  # GDAL, pyogrio, shapely and pyproj each raise their own types
+        reason = " ".join(str(error).split())[:200]
+        raise ImageryError(f"{path} cannot be read ({reason}); give another file.") from error
+    if len(fitting) > 1:
+        raise ImageryError(
+            f"{path} holds {len(fitting)} layers that may be labels ({', '.join(fitting)[:300]}); "
+            f"give a file of one (ogr2ogr one.gpkg {path.name} {fitting[0]})."
+        )
+    others = ", ".join(other for other in layers if other != name)[:300]
+    note = f"of {path} the layer {name!r} is read, and not {others}"
+    return frame, (note,) if others else ()
+
+
+def _label_layers(place: Path | str, layers: Sequence[str], wanted: Sequence[str]) -> list[str]:
+    """Returns the layers of points or outlines: only one if it alone has a field for classes."""
+    import pyogrio
+
+    infos = {name: pyogrio.read_info(place, layer=name) for name in layers}
+    fitting = [
+        name
+        for name, info in infos.items()
+        if info["features"] and _LABEL_GEOMETRY.search(info["geometry_type"] or "")
+    ]
+    fields = {name: [*infos[name]["fields"]] for name in fitting}
+    telling = [
+        name
+        for name, its in fields.items()
+        if chosen_field(its, wanted) is not None or usual_fields(its)
+    ]
+    return telling if len(telling) == 1 else fitting
 
 
 def _shapes(geometry: Any) -> list[tuple[Point, ...]]:
@@ -117,13 +172,3 @@ def _corners(part: Any) -> tuple[Point, ...]:
     corners = tuple((x, y) for x, y, *_ in part.exterior.coords[:-1])
     box = ((left, bottom), (right, bottom), (right, top), (left, top))
     return corners if len(corners) == 4 else box
-
-
-def _class_name(record: Mapping[str, Any], where: str) -> str:
-    for key in _CLASS_KEYS:
-        value = record.get(key)
-        if isinstance(value, list | dict | np.ndarray):
-            raise ImageryError(f"{where} has several values as its {key!r}; give one.")
-        if value is not None and value != "":
-            return str(value)
-    return _UNNAMED
