@@ -10,6 +10,7 @@ from rasterio._err import CPLE_BaseError
 from rasterio.crs import CRS
 from rasterio.errors import CRSError, RasterioError
 from rasterio.io import DatasetReader
+from rasterio.transform import from_gcps
 from rasterio.warp import transform as transform_places
 
 from skyproof.errors import ImageryError
@@ -17,7 +18,11 @@ from skyproof.imagery.settings import names_a_system
 
 COARSEST_GSD_M = 0.5
 FINEST_PLAUSIBLE_M = 0.005
+_FINEST_COMMON_M = 0.01
 TRUE_TO_SCALE = 0.0015
+
+_LARGEST_OFFSET_PX = 1.0
+"""From control points to an affine transform that may stand for them."""
 
 EQUATOR_RADIUS_M, ECCENTRICITY_SQUARED = 6378137.0, 0.00669437999014
 """WGS 84."""
@@ -75,20 +80,24 @@ def read_georeference(
 ) -> Georeference:
     """Finds the place of an image, and adds assumptions to `notes`.
 
-    `crs` is the reference system of a transform (the file's or a world file's) that names none.
-    Without any the image has `source_gsd_m`, or the transform's pixel size as metres if plausible.
+    `crs` is the reference system of a transform (the file's or a world file's) that names none, or
+    a local one, which lies nowhere on Earth. Without any the image has `source_gsd_m`, or the
+    transform's pixel size if plausible, in the local system's unit or in metres.
     """
     affine, system = dataset.transform, dataset.crs
+    if affine.is_identity:
+        affine, system = _by_control_points(dataset, path, source_gsd_m, notes)
     plain = affine.is_identity
+    local = system is not None and not (system.is_geographic or system.is_projected)
     if not plain and abs(affine.determinant) < 1e-30:
         raise ImageryError(
             f"{path} has a pixel size of zero in its georeference; repair it (gdal_edit.py "
             "-a_ullr), or remove it and give its metres per pixel (--source.gsd-m)."
         )
-    if not plain and system is None and crs is not None:
-        system = CRS.from_user_input(crs)
+    if not plain and (system is None or local) and crs is not None:
+        local, system = False, CRS.from_user_input(crs)
         notes.append(f"its reference system is taken as {crs}")
-    if not plain and system is not None:
+    if not plain and system is not None and not local:
         x, y, step = dataset.width / 2, dataset.height / 2, 16.0
         corner = [affine * place for place in ((x, y), (x + step, y), (x, y + step))]
         lengths_m = _distances_m(system, corner)
@@ -98,7 +107,7 @@ def read_georeference(
                 "--source.crs)."
             )
         gsd_m = lengths_m[0] / step, lengths_m[1] / step
-        _check_resolution(path, gsd_m, "the image")
+        _check_resolution(path, gsd_m, "the image", notes)
         return Georeference(system, affine, gsd_m)
     if source_gsd_m is not None:
         gsd_m = source_gsd_m, source_gsd_m
@@ -108,21 +117,56 @@ def read_georeference(
             "pixel (--source.gsd-m)."
         )
     else:
-        gsd_m = math.hypot(affine.a, affine.d), math.hypot(affine.b, affine.e)
+        # A local system may say that its unit is unknown, with a length of zero.
+        unit_m = system.units_factor[1] or 1.0 if system is not None else 1.0
+        gsd_m = unit_m * math.hypot(affine.a, affine.d), unit_m * math.hypot(affine.b, affine.e)
+        which = "names only a local reference system" if local else "names no reference system"
         if not all(FINEST_PLAUSIBLE_M <= size <= COARSEST_GSD_M for size in gsd_m):
             raise ImageryError(
-                f"{path} has pixels of {gsd_m[0]:.6g} x {gsd_m[1]:.6g} but names no reference "
-                "system; give it with --source.crs, or the metres per pixel with --source.gsd-m."
+                f"{path} has pixels of {gsd_m[0]:.6g} x {gsd_m[1]:.6g} but {which}; give it with "
+                "--source.crs, or the metres per pixel with --source.gsd-m."
             )
-        notes.append(
-            f"it names no reference system: its pixels are taken as {gsd_m[0]:.4g} x "
-            f"{gsd_m[1]:.4g} m"
-        )
-    _check_resolution(path, gsd_m, "the metres per pixel given")
+        notes.append(f"it {which}: its pixels are taken as {gsd_m[0]:.4g} x {gsd_m[1]:.4g} m")
+    _check_resolution(path, gsd_m, "the metres per pixel given", notes)
     return Georeference(None, Affine.scale(gsd_m[0], -gsd_m[1]), gsd_m)
 
 
-def _check_resolution(path: Path, gsd_m: tuple[float, float], whose: str) -> None:
+def _by_control_points(
+    dataset: DatasetReader, path: Path, source_gsd_m: float | None, notes: list[str]
+) -> tuple[Affine, CRS | None]:
+    """Returns transform and system of an image that has no transform: identity if nothing fits.
+
+    Control points count if one affine transform fits them. Everything else would bend the image,
+    which is left to GDAL's own tool.
+    """
+    points, system = dataset.gcps
+    options = "-r cubic -dstalpha"
+    if points:
+        affine = from_gcps(points)
+        if abs(affine.determinant) > 1e-30:
+            offsets_px = [math.dist(~affine * (one.x, one.y), (one.col, one.row)) for one in points]
+            if max(offsets_px) <= _LARGEST_OFFSET_PX:
+                notes.append(f"placed by its {len(points)} ground control points")
+                return affine, system
+        means = "ground control points"
+    elif dataset.rpcs is not None:
+        means, options = "RPCs", f"-rpc -to RPC_DEM=heights.tif {options}"
+    else:
+        return dataset.transform, dataset.crs
+    if source_gsd_m is None:
+        raise ImageryError(
+            f"{path} is placed by {means} alone, which bend it; warp it (gdalwarp {options} "
+            f"{path.name} warped.tif), or give its metres per pixel (--source.gsd-m)."
+        )
+    notes.append(f"its {means} are left out, because its metres per pixel are given")
+    return dataset.transform, None
+
+
+def _check_resolution(path: Path, gsd_m: tuple[float, float], whose: str, notes: list[str]) -> None:
+    if min(gsd_m) < _FINEST_COMMON_M:
+        notes.append(
+            f"{100 * min(gsd_m):.2g} cm per pixel is finer than nearly all imagery; check {whose}"
+        )
     if max(gsd_m) > COARSEST_GSD_M:
         raise ImageryError(
             f"{path} has {max(gsd_m):.2f} m per pixel but at most {COARSEST_GSD_M} m can show "
