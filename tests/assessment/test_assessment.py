@@ -10,13 +10,13 @@ import torch
 
 from skyproof.assessment.assess import assess_steps
 from skyproof.assessment.command import Request
-from skyproof.assessment.judging import still_open
+from skyproof.assessment.judging import scored_names, still_open
+from skyproof.assessment.run import RunEnded
 from skyproof.assessment.subject import Subject
 from skyproof.assessment.suite import DEMO_SUITE, read_suite
 from skyproof.assessment.suite import SUITE as SUITE_FILE
 from skyproof.detectors.answers import BlackBoxDetector
 from skyproof.detectors.card import REFERENCE_DETECTORS, reference_folder
-from skyproof.errors import ConfigurationError
 from skyproof.files import file_digest
 
 RUN = Path("run")
@@ -90,15 +90,25 @@ def test_a_run_stops_where_no_verdict_is_possible_any_more(tmp_path):
         (place / "precheck.json").write_text(json.dumps(record))
         its = subject(place, **ASKED, **changes)
         its = replace(its, request=replace(its.request, out=tmp_path / "run"))
-        still_open(its).work()
+        still_open(its, its.request.requirement).work()
         return json.loads((tmp_path / "run/open.json").read_text())
 
     assert stop(0.02) == {"failed": []}
-    with pytest.raises(ConfigurationError, match=r"No verdict is possible .* give --go-on"):
-        stop(0.6)
+    (tmp_path / "run/open.json").unlink()
+    for _ in range(2):
+        # The same command does not get past it.
+        with pytest.raises(RunEnded, match="give the same command with --go-on"):
+            stop(0.6)
+        assert not (tmp_path / "run/open.json").exists()
+    (ruled,) = json.loads((tmp_path / "run/verdict.json").read_text())["detectors"]
+    assert ruled["answer"] == "not applicable"
+    assert "it failed the precheck: 1 of 27 plain paints on" in ruled["sentences"][0]
+    assert "No verdict on" in (tmp_path / "run/report.html").read_text()
     (failed,) = stop(0.6, go_on=True)["failed"]
     assert failed.startswith("mine: ")
-    (tmp_path / "run/results.json").touch()
+    score = tmp_path / "run/scores/test-0/score.json"
+    score.parent.mkdir(parents=True)
+    score.touch()
     assert stop(0.6) == {"failed": [failed]}
     names = ids(subject(place, **ASKED))
     assert names.index("size/open") == names.index("check/detectors") + 1
@@ -145,6 +155,14 @@ def test_every_attack_is_scored_beside_its_controls(folder):
         assert {str(control) for control in name.chosen_controls} <= set(names)
         draws = [str(name.control.with_repeat(draw)) for draw in range(SUITE.draws)]
         assert set(draws) <= set(names)
+
+
+def test_the_scored_camouflages_of_the_suite_are_without_those_on_cycles(folder):
+    its = subject(folder)
+    names = scored_names([*assess_steps(its)])
+    assert names == scored(its)
+    path_traced = replace(its, request=replace(its.request, cycles=True))
+    assert scored_names([*assess_steps(path_traced)]) == names
 
 
 def test_a_black_box_is_attacked_by_queries_from_what_others_taught(folder):

@@ -38,6 +38,7 @@ PAINT = {
     "easr_low": None,
     "easr_high": None,
 }
+LOST = {"lost_by_tile": [2, 2, 2]}
 YELLOWS = {"#808000", "#ffff00", "#ffff80"}
 
 
@@ -122,6 +123,23 @@ def test_blindness_to_yellow_fails_by_exactly_the_yellow_paints(records):
     assert worst(found).words.startswith("3 of 27 plain paints on")
 
 
+def test_vehicles_lost_in_a_paint_are_counted_on_each_tile(records):
+    """As many as the rate says, of two found on each of the three tiles."""
+    record = records["blind"]
+    assert list(record.found_by_tile) == [2, 2, 2]
+    painted = [rate for rate in record.rates if rate.lost_by_tile]
+    assert {rate.kind for rate in painted} == {"paint_body", "paint_whole", "two_tone"}
+    assert len(painted) == 62
+    # Nothing is found in a paint alone, so EASR is the share lost.
+    assert [sum(rate.lost_by_tile) / 6 for rate in painted] == [r.easr.estimate for r in painted]
+    said = record.paints()
+    assert len(said) == 62
+    found, lost = said["RGB (255, 255, 0) on body panels"]
+    assert (found == 2).all()
+    assert lost.sum() > 0
+    assert said["RGB (0, 0, 0) on the whole vehicle"][1].sum() == 0
+
+
 def test_blur_and_sun_change_the_picture(records, good):
     unchanged, *changed = good.contrasts
     assert len(records) == 2
@@ -169,6 +187,7 @@ def test_a_record_is_read_as_it_was_written(records, tmp_path):
     ]
     assert read.rates[1:] == as_read[1:]
     assert read.measured_on == record.measured_on
+    assert read.found_by_tile == tuple(record.found_by_tile)
     assert flat_row(read.sets[0]) == flat_row(record.sets[0])
     with pytest.raises(RunFolderError, match=r"check\.json exists already"):
         write_precheck(tmp_path, record)
@@ -176,7 +195,15 @@ def test_a_record_is_read_as_it_was_written(records, tmp_path):
 
 @pytest.mark.parametrize(
     "changed",
-    [{"format": 2}, {"rates": [{}]}, {"sets": []}, {"threshold": 2.0}, {"rates": [PAINT]}],
+    [
+        {"format": 2},
+        {"rates": [{}]},
+        {"sets": []},
+        {"threshold": 2.0},
+        {"rates": [PAINT]},
+        {"found_by_tile": [1, 1]},
+        {"found_by_tile": [2, 2, 0], "rates": [{**PAINT, "name": "#ffff00", **LOST}]},
+    ],
 )
 def test_a_damaged_record_is_refused(records, tmp_path, changed):
     write_precheck(tmp_path, records["good"])

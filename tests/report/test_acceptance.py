@@ -9,6 +9,7 @@ import pytest
 from markupsafe import Markup
 
 from skyproof.errors import ConfigurationError
+from skyproof.files import write_json
 from skyproof.layout import Layout
 from skyproof.report.acceptance import Ruling, _attacks, _doubted
 from skyproof.report.queries import QueryPart
@@ -18,7 +19,14 @@ from skyproof.results.results import Results
 from skyproof.results.statistics.acceptance import Requirement
 from skyproof.results.statistics.intervals import Interval
 from skyproof.results.statistics.planning import tiles_to_show
-from skyproof.scenes.scene import BackgroundWindow, Camera, Scene, Sun, write_scenes
+from skyproof.scenes.scene import (
+    BackgroundWindow,
+    Camera,
+    Scene,
+    Sun,
+    scenes_digest,
+    write_scenes,
+)
 from tests.report.fabricate import fabricate
 from tests.report.test_precheck import checked
 from tests.report.test_queries import missed
@@ -129,6 +137,119 @@ def test_a_detector_that_failed_or_missed_its_check_gets_no_verdict(run_folder):
     assert all(not each["attacks"] for each in verdict["detectors"])
 
 
+YELLOW = ("paint_body", "#ffff00")
+MOST = Interval(0.8, 0.7, 0.9)
+
+
+def recheck(folder, hidden, **given):
+    """Replaces the prechecks of both detectors."""
+    for name in DETECTORS:
+        (folder / "detectors" / name / "precheck.json").unlink(missing_ok=True)
+        checked(folder, name, hidden, **given)
+
+
+def test_a_detector_that_loses_most_to_one_plain_paint_is_rejected(run_folder):
+    change_tiles(run_folder, keep)
+    recheck(run_folder, {YELLOW: MOST}, tiles=20)
+    page, verdict = asked(run_folder, STRICT)
+    for ruled in verdict["detectors"]:
+        assert ruled["answer"] == "rejected"
+        assert ruled["paint"]["name"] == "RGB (255, 255, 0) on body panels"
+        assert 0.2 < ruled["paint"]["at_least"] < ruled["paint"]["share"]
+        assert ruled["attacks"]["T-U"]["lost"] == 0
+    at_least = round(100 * verdict["detectors"][0]["paint"]["at_least"])
+    assert (
+        "RetinaNet is REJECTED: the plain paint RGB (255, 255, 0) on body panels hides 80 % of the "
+        f"vehicles found before (mean of the tiles, bounds {at_least} to "
+    ) in page
+    opening = page[: page.index("State of the detectors")]
+    assert "RetinaNet: REJECTED 80 %" in opening
+    assert "are missed in the plain paint RGB (255, 255, 0) on body panels" in opening
+    # A paint that hides no more than is accepted rejects nothing, nor one without counts by tile.
+    _, verdict = asked(run_folder, Requirement(0.85, 0.95))
+    assert [each["answer"] for each in verdict["detectors"]] == ["not applicable"] * 2
+    recheck(run_folder, {YELLOW: MOST})
+    _, verdict = asked(run_folder, STRICT)
+    assert [each["answer"] for each in verdict["detectors"]] == ["not applicable"] * 2
+
+
+def test_a_paint_on_other_scenes_rejects_nothing(run_folder):
+    change_tiles(run_folder, keep)
+    window, camera = BackgroundWindow("tile", 96.0, 96.0, 0.0), Camera(0.1, 0.2, 0.125, 96)
+    scene = Scene("test-0", window, camera, Sun(0.3, 0.8), (), 0)
+    Layout(run_folder).scenes("test").parent.mkdir(exist_ok=True)
+    write_scenes(Layout(run_folder).scenes("test"), [scene])
+    for digest, answer in (("elsewhere", "not applicable"), (scenes_digest([scene]), "rejected")):
+        recheck(run_folder, {YELLOW: MOST}, tiles=20, scenes=(1, digest))
+        _, verdict = asked(run_folder, STRICT)
+        assert [each["answer"] for each in verdict["detectors"]] == [answer] * 2
+
+
+def test_attacks_reject_whom_a_harmless_paint_made_fail(run_folder):
+    recheck(run_folder, {YELLOW: Interval(0.1, 0.06, 0.2)}, tiles=20)
+    page, verdict = asked(run_folder, STRICT)
+    assert [each["answer"] for each in verdict["detectors"]] == ["rejected"] * 2
+    assert "RetinaNet is REJECTED: T-U, the only attack" in page
+
+
+def test_who_does_not_see_renders_cannot_be_judged_by_them(run_folder):
+    recheck(run_folder, {YELLOW: MOST}, tiles=20, rendered=0.6)
+    page, verdict = asked(run_folder, STRICT)
+    assert [each["answer"] for each in verdict["detectors"]] == ["not applicable"] * 2
+    assert "failed the precheck: its AP on rendered scenes is 60 %" in page
+    assert "Operating characteristic" not in page
+
+
+def test_prechecks_alone_give_a_report_that_rejects_or_says_why_not(run_folder):
+    """As where a run ends before its attacks."""
+    shutil.rmtree(run_folder / "scores")
+    recheck(run_folder, {YELLOW: MOST}, tiles=20)
+    page, verdict = asked(run_folder, STRICT)
+    assert [each["answer"] for each in verdict["detectors"]] == ["rejected"] * 2
+    assert "the plain paint RGB (255, 255, 0) on body panels hides 80 %" in page
+    assert "No camouflage was scored." in page
+    assert "Operating characteristic" not in page
+    assert verdict["sha256"]["camouflages"] == {}
+    _, verdict = asked(run_folder, Requirement(0.9, 0.95))
+    assert [each["answer"] for each in verdict["detectors"]] == ["not applicable"] * 2
+    recheck(run_folder, {})
+    with pytest.raises(ConfigurationError, match="found none for faster_rcnn; attack"):
+        write_report(run_folder, STRICT)
+
+
+def suite(folder, *scored):
+    config = json.loads((folder / "config.json").read_text())
+    named = {"version": 3, "sha256": "a" * 64, "scored": scored}
+    write_json(folder / "config.json", config | {"suite": named})
+
+
+def test_the_suite_is_named_only_where_all_of_it_was_scored(run_folder):
+    change_tiles(run_folder, keep)
+    suite(run_folder, "T-U", "R-U-0", "R-U-1")
+    page, verdict = asked(run_folder, STRICT)
+    assert verdict["suite"] == {"version": 3, "sha256": "a" * 64}
+    assert [each["answer"] for each in verdict["detectors"]] == ["accepted", "accepted"]
+    assert "Suite of attacks: version 3." in page
+    suite(run_folder, "T-U", "R-U-0", "R-U-1", "T-Ma", "S-O@0.2")
+    page, verdict = asked(run_folder, STRICT)
+    assert verdict["suite"] == "incomplete"
+    assert [each["answer"] for each in verdict["detectors"]] == ["undecided", "undecided"]
+    assert (
+        "but 2 of the 5 camouflages of the suite were not scored (T-Ma, S-O@0.2), so other attacks"
+    ) in page
+    assert "Suite of attacks: incomplete." in page
+    assert "suite.version" not in page
+    suite(run_folder)
+    page, verdict = asked(run_folder, STRICT)
+    assert (verdict["suite"], verdict["detectors"][0]["answer"]) == ("incomplete", "undecided")
+
+
+def test_camouflages_that_were_not_scored_have_no_digest(run_folder):
+    write_json(run_folder / "camouflages" / "T-Ma" / "camouflage.json", {})
+    _, verdict = asked(run_folder, STRICT)
+    assert set(verdict["sha256"]["camouflages"]) == {"T-U"}
+
+
 def test_where_gradients_mislead_nothing_is_accepted(tmp_path):
     found = {"R-U-0": set(), "T-U": set(), "T-U_transfer": set()}
     # What answers find is as good an attack as any, and misleading gradients leave others open.
@@ -139,12 +260,12 @@ def test_where_gradients_mislead_nothing_is_accepted(tmp_path):
     assert set(attacks) == {"T-U", "T-U_transfer", "T-U_asked", "T-U_on_mine"}
     requirement = Requirement(0.5, 0.9999)
     ruling = Ruling("mine", "accepted", ["mine is ACCEPTED: so.", "T-U hides 0 %."], 0, {})
-    doubted = _doubted(ruling, requirement)
+    doubted = _doubted(ruling, requirement, ["it doubts", "nobody knows"])
     assert (doubted.answer, doubted.more_vehicles) == ("undecided", None)
-    assert "but the detector masks its gradients" in doubted.sentences[0]
+    assert "less than 100\u202f%, but it doubts and nobody knows, so" in doubted.sentences[0]
     assert doubted.sentences[1:] == ["T-U hides 0 %."]
     rejected = Ruling("mine", "rejected", ["mine is REJECTED: so."], 0, {})
-    assert _doubted(rejected, requirement) is rejected
+    assert _doubted(rejected, requirement, ["it doubts"]) is rejected
 
 
 def test_the_verdict_holds_the_alarms(run_folder, monkeypatch):

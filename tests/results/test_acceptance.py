@@ -103,6 +103,65 @@ def is_rejected(attacks, requirement):
     return mean >= 1 / requirement.producer_risk
 
 
+def paints(hidden):
+    """62 paints on 18 tiles: the first hides this share, all others next to nothing."""
+    found, lost = simulate(hidden, 18, runs=1)
+    return {str(i): (found[0], lost[0] if i == 0 else (found[0] > 10) * 1) for i in range(62)}
+
+
+def test_one_plain_paint_rejects_before_any_attack_and_after_those_that_hide_nothing():
+    painted = paints(0.9)
+    found, lost = simulate(0.05, 40, runs=1)
+    for attacks in ({}, {"T-U": (found[0], lost[0])}):
+        decision = decide(attacks, Requirement(0.2, 0.3), painted)
+        assert decision.answer == "rejected"
+        assert set(decision.attacks) == set(attacks)
+        name, said = decision.paint
+        assert name == "0"
+        assert 0.2 < said.at_least < said.share <= said.at_most
+    harmless = paints(0.05)
+    assert decide({}, Requirement(0.2, 0.3), harmless).answer == "undecided"
+    accepted = decide({"T-U": (found[0], lost[0])}, Requirement(0.2, 0.3), harmless)
+    assert (accepted.answer, accepted.paint) == ("accepted", None)
+
+
+def test_the_choice_of_the_worst_of_many_paints_adds_no_risk():
+    """All paints hide what is allowed: the worst alone would reject far too often."""
+    requirement = Requirement(0.2, 0.3, producer_risk=0.3)
+    wrong = alone = 0
+    for seed in range(40):
+        found, lost = simulate(0.2, 18, runs=62, seed=seed)
+        painted = {str(i): (found[i], lost[i]) for i in range(62)}
+        wrong += decide({}, requirement, painted).answer == "rejected"
+        worst = max(float(evidence_above(b / a, 0.2)) for a, b in painted.values())
+        alone += worst >= 1 / requirement.producer_risk
+    assert alone > 0.5 * 40
+    # A fifth of the producer's risk is 2.4 of 40.
+    assert wrong <= 2
+
+
+def test_attacks_and_paints_share_the_risk_of_the_producer():
+    """Evidence that just rejects alone does not with paints: both could err."""
+    found = np.full(40, 50)
+    requirement = Requirement(0.2, 0.21)
+    least = next(lost for lost in range(400, 500) if rejects(attack(found, lost), requirement))
+    evidence = decide(attack(found, least), requirement).attacks["T-U"].for_rejection
+    assert 20 <= evidence < 25
+    harmless = paints(0.05)
+    assert decide(attack(found, least), requirement, harmless).answer == "undecided"
+
+
+def attack(found, lost):
+    """An attack that hides so many vehicles, evenly over the tiles."""
+    even = np.full(len(found), lost // len(found))
+    even[: lost % len(found)] += 1
+    return {"T-U": (found, even)}
+
+
+def rejects(attacks, requirement):
+    return decide(attacks, requirement).answer == "rejected"
+
+
 def test_what_is_undecided_says_how_many_tiles_decide():
     found, lost = simulate(0.15, 12, runs=1, seed=3)
     attacks = {"T-U": (found[0], lost[0])}

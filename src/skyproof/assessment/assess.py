@@ -9,10 +9,17 @@ from typing import TYPE_CHECKING
 from skyproof.assessment.answers import say_answers, say_expected, say_verdict
 from skyproof.assessment.attacking import attacks, controls, scored
 from skyproof.assessment.command import Request, own_options
-from skyproof.assessment.judging import enough_ground, precheck, report, score, still_open
+from skyproof.assessment.judging import (
+    enough_ground,
+    precheck,
+    report,
+    score,
+    scored_names,
+    still_open,
+)
 from skyproof.assessment.look import look_at, plan_words
 from skyproof.assessment.preparing import fleets, prepare, rendered, scenes
-from skyproof.assessment.run import SOURCES, Run, Step
+from skyproof.assessment.run import SOURCES, Run, RunEnded, Step
 from skyproof.assessment.subject import REFERENCE_GSD_M, Subject, checked_object, subject_of
 from skyproof.assessment.suite import SUITE, read_suite
 from skyproof.console import say
@@ -40,7 +47,7 @@ def assess_steps(its: Subject) -> Iterator[Step]:
     if its.suite.check_scenes:
         yield precheck(its)
         if requirement is not None:
-            yield still_open(its)
+            yield still_open(its, requirement)
     made = [*attacks(its)]
     yield from made
     drawn = [*controls(its)]
@@ -68,23 +75,35 @@ def run_assessment(
     """Does all steps that are not finished, and prints the results; returns the report's path."""
     its = subject_of(request, read_suite(suite_file), black_box)
     what = "is this vehicle detector" if len(its.names) == 1 else "are these vehicle detectors"
+    steps = [*assess_steps(its)]
+    suite = {
+        "version": its.suite.version,
+        "sha256": file_digest(suite_file),
+        "scored": scored_names(steps),
+    }
     config = {
         "title": f"How robust {what} to camouflage?",
         **request.config(),
         "names": list(its.names),
-        "suite": {"version": its.suite.version, "sha256": file_digest(suite_file)},
+        "suite": suite,
         SOURCES: dict(its.sources),
     }
     # Mistakes show before an hour's work, not after it.
-    run = Run(request.out, config, [*assess_steps(its)])
+    run = Run(request.out, config, steps)
     if request.cycles:
         find_blender(request.blender)
     _, seen = look_at(its) if not request.out.exists() else (0, [])
-    with run.begun(str(its.device)):
-        say(f"skyproof, {', '.join(its.names)} on {its.device}, run folder {request.out}")
-        for sentence in (*seen, *_limits(its)):
-            say(f"  note: {sentence}")
-        run.do()
+    try:
+        with run.begun(str(its.device)):
+            say(f"skyproof, {', '.join(its.names)} on {its.device}, run folder {request.out}")
+            for sentence in (*seen, *_limits(its)):
+                say(f"  note: {sentence}")
+            run.do()
+    except RunEnded as ended:
+        say_verdict(its.layout)
+        say(str(ended))
+        say(f"Report: {its.layout.report.resolve()}")
+        return its.layout.report
     say_answers(its.layout, its.suite.attacks)
     if its.layout.verdict.exists():
         say_verdict(its.layout)

@@ -7,13 +7,20 @@ from dataclasses import asdict
 from pathlib import Path
 
 from skyproof.assessment.preparing import VEHICLE_CLASSES, YOURS
-from skyproof.assessment.run import DETECT_S, RENDER_S, START_S, Step, precheck_images
+from skyproof.assessment.run import (
+    DETECT_S,
+    RENDER_S,
+    START_S,
+    RunEnded,
+    Step,
+    precheck_images,
+)
 from skyproof.assessment.subject import Subject
 from skyproof.cli.precheck import Precheck
 from skyproof.cli.score import Score
 from skyproof.console import say
 from skyproof.cycles.settings import Rendering
-from skyproof.errors import ConfigurationError, ImageryError
+from skyproof.errors import ImageryError
 from skyproof.files import write_json
 from skyproof.report.report import write_report
 from skyproof.results.precheck import findings, read_precheck, worst
@@ -80,8 +87,11 @@ def precheck(its: Subject) -> Step:
     )
 
 
-def still_open(its: Subject) -> Step:
-    """Stops a run that could only end without a verdict, because every detector failed."""
+def still_open(its: Subject, requirement: Requirement) -> Step:
+    """Ends a run with a report if every detector failed its precheck, so none can be accepted.
+
+    Not if the attacks were scored already.
+    """
     layout, out = its.layout, its.layout.folder / "open.json"
     checks = tuple(map(layout.precheck, its.names))
 
@@ -94,10 +104,13 @@ def still_open(its: Subject) -> Step:
             for name, found in checked.items()
             if found.outcome == "failed"
         ]
-        if len(failed) == len(checked) and not its.request.go_on and not layout.results.exists():
-            raise ConfigurationError(
-                f"No verdict is possible after a failed precheck ({', '.join(failed)}); mend the "
-                "detector, or give --go-on to measure the attacks without a verdict."
+        scored = any(layout.scores.glob("*/score.json"))
+        if len(failed) == len(checked) and not its.request.go_on and not scored:
+            write_report(layout.folder, requirement)
+            raise RunEnded(
+                "The run ends before the attacks, because a detector that failed its precheck "
+                "cannot be accepted. Mend the detector, or give the same command with --go-on to "
+                "measure the attacks."
             )
         write_json(out, {"failed": failed})
 
@@ -140,6 +153,12 @@ def score(
         extra=rendering is not None,
         effort_s=START_S + each_s * (1 + len(camouflages)),
     )
+
+
+def scored_names(steps: Sequence[Step]) -> list[str]:
+    """The names of the camouflages that a whole run scores on the renderer of the attacks."""
+    scores = [step for step in steps if step.kind == "score" and not step.extra]
+    return [place.name for step in scores for place in step.settings[1]]  # type: ignore[index]
 
 
 def report(its: Subject, scores: Sequence[Step], requirement: Requirement | None) -> Step:

@@ -46,6 +46,10 @@ _TRUSTED_S = 60.0
 _PLACE = ("device", "blender", "workers")
 
 
+class RunEnded(Exception):
+    """A step says why the steps after it would be in vain; the run ends there, without an error."""
+
+
 @dataclass(frozen=True)
 class Step:
     """One thing that a run does once; its outputs exist when it is finished.
@@ -142,7 +146,10 @@ class Run:
                 note_end(self._layout.environment)
 
     def do(self) -> None:
-        """Does every step that is not finished, and estimates the time left."""
+        """Does every step that is not finished, and estimates the time left.
+
+        Raises RunEnded if a step ends the run early.
+        """
         for number, step in enumerate(self.steps, 1):
             if self.is_finished(step):
                 continue

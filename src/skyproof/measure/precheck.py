@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from textwrap import wrap
 from typing import Any
@@ -28,6 +28,7 @@ from skyproof.render.renderer import TorchRenderer
 from skyproof.results.outcomes import count_cells
 from skyproof.results.precheck import (
     LARGEST_EASR,
+    PAINTED,
     Finding,
     Kind,
     MeasuredOn,
@@ -136,7 +137,7 @@ def precheck(
             each.threshold,
             data.measured_on,
             [baseline for baseline in baselines if baseline.detector == each.name],
-            rates[each.name],
+            *rates[each.name],
         )
         for each in detectors
     ]
@@ -185,8 +186,11 @@ def _rates(
     before: SceneView,
     changed: Iterable[SceneView],
     seed: int,
-) -> dict[str, list[Rate]]:
-    """The rates by detector; the draws of one control are averaged and taken as given."""
+) -> dict[str, tuple[list[Rate], list[int]]]:
+    """The rates by detector, and the vehicles that it found before on each tile.
+
+    The draws of one control are averaged and taken as given.
+    """
     cells = sorted({(s.background.tile, each.vehicle) for s in scenes for each in s.placements})
     row_of = {cell: row for row, cell in enumerate(cells)}
     sample = Sample.draw(cells, generator=numpy_generator(seed))
@@ -196,10 +200,16 @@ def _rates(
             outcomes = compare(scenes, before, after, each, TorchRenderer.name, [MAIN_MATCH])
             drawn = counts.setdefault((each.name, change.kind, change.name), [])
             drawn.append(count_cells(outcomes, row_of))
-    rates: dict[str, list[Rate]] = {each.name: [] for each in detectors}
+    rates: dict[str, tuple[list[Rate], list[int]]] = {each.name: ([], []) for each in detectors}
     for (detector, kind, name), drawn in counts.items():
-        easr = mean_interval(Group(np.stack(drawn), sample))
-        rates[detector].append(Rate(kind, name, len(drawn), easr))
+        group = Group(np.stack(drawn), sample)
+        rate = Rate(kind, name, len(drawn), mean_interval(group))
+        own, found = rates[detector]
+        if kind in PAINTED:
+            both, lost, _ = sample.by_tile(group.counts)[0].T
+            found[:] = (both + lost).tolist()
+            rate = replace(rate, lost_by_tile=tuple(lost.tolist()))
+        own.append(rate)
     return rates
 
 

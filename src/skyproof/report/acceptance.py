@@ -2,10 +2,10 @@
 
 import hashlib
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from markupsafe import Markup
@@ -25,17 +25,25 @@ from skyproof.results.results import RENDERER, Results
 from skyproof.results.statistics.acceptance import Decision, Evidence, Requirement, decide
 from skyproof.results.statistics.planning import assume_from_pilot, chances_on_tiles, tiles_to_show
 from skyproof.scenes.scene import scenes_digest
-from skyproof.words import body_name, detector_name, interval, percent, renderer_name
+from skyproof.words import (
+    body_name,
+    detector_name,
+    interval,
+    listed,
+    percent,
+    renderer_name,
+)
 
 _REMEDY = "move it away, or report again with --accept and --reject"
 
 
 @dataclass(frozen=True)
 class Ruling:
-    """The verdict on one detector, not applicable after a failed or missing precheck.
+    """The verdict on one detector, not applicable where the test cannot tell.
 
     The evidence stands by camouflage and renderer, the strongest attack first. More vehicles, on
     tiles like these, would decide; 0 if decided, None if no number would or there is no verdict.
+    `paint` is the plain paint of the precheck that rejects the detector, in words, if one does.
     """
 
     detector: str
@@ -43,16 +51,22 @@ class Ruling:
     sentences: Sequence[str]
     more_vehicles: int | None
     attacks: dict[str, Evidence]
+    paint: tuple[str, Evidence] | None = None
 
 
 @dataclass(frozen=True)
 class Acceptance:
-    """The page's part on the verdict: requirement, rulings, operating characteristic and scope."""
+    """The page's part on the verdict: requirement, rulings, operating characteristic and scope.
+
+    `suite` are the version and digest of the suite if all of it was scored, "incomplete" if not,
+    and None in a run without one.
+    """
 
     requirement: Requirement
     rulings: Sequence[Ruling]
     figure: Markup | None
     validity: str
+    suite: dict[str, Any] | Literal["incomplete"] | None
 
 
 class _StoredVerdict(Struct, frozen=True):
@@ -65,48 +79,97 @@ def read_requirement(path: Path) -> Requirement | None:
 
 
 def rule(results: Results, requirement: Requirement, alarms: Sequence[str]) -> Acceptance:
-    """Decides on each detector of a run that did not fail its precheck.
+    """Decides on each detector of a run.
 
     Attacks are all camouflages on all renderers, query attacks and chosen controls, each repeat by
-    itself; single random draws and copies of unfinished camouflages are none. With alarms of
-    gradient masking no detector is accepted, because other attacks could hide more.
+    itself; single random draws and copies of unfinished camouflages are none. A detector that
+    failed its precheck is not accepted, but attacks or a plain paint of the precheck may reject it,
+    unless it has no precheck or failed on unchanged renders, so that the test cannot tell. With
+    alarms of gradient masking, or if a part of the suite was not scored, no detector is accepted,
+    because other attacks could hide more.
     """
+    suite, unscored = scored_suite(results)
+    doubts = [unscored] if unscored else []
+    if alarms:
+        doubts.append("the detector masks its gradients (“Query attacks”, below)")
     rulings = []
     for name in results.detectors:
-        attacks = _attacks(results.counts, name)
-        if not attacks:
-            raise ConfigurationError(
-                "A verdict expects optimised camouflages or chosen controls among the scores, "
-                f"found none for {name}; attack the detector, then score and report again."
-            )
-        decision = decide(attacks, requirement)
-        precheck = results.prechecks.get(name)
-        outcome = None if precheck is None else worst(findings(precheck))
-        if outcome is None or outcome.outcome == "failed":
-            why = (
-                "no precheck of it is here (skyproof precheck)"
-                if outcome is None
-                else f"it failed the precheck: {outcome.words}"
-            )
-            sentence = (
-                f"{detector_name(name)}: no verdict, because {why}. A detector that fails without "
-                "camouflage cannot be accepted for its robustness to camouflage."
-            )
-            rulings.append(Ruling(name, "not applicable", [sentence], None, {}))
-        else:
-            ruling = _ruling(name, decision, results, requirement)
-            rulings.append(_doubted(ruling, requirement) if alarms else ruling)
-    figure = _figure(results, requirement)
-    return Acceptance(requirement, rulings, figure, _validity(results))
+        ruling = _ruled(name, results, requirement)
+        rulings.append(_doubted(ruling, requirement, doubts) if doubts else ruling)
+    decided = any(each.attacks for each in rulings)
+    figure = _figure(results, requirement) if decided else None
+    return Acceptance(requirement, rulings, figure, _validity(results), suite)
+
+
+def _ruled(name: str, results: Results, requirement: Requirement) -> Ruling:
+    """Decides on one detector by its precheck and the attacks."""
+    precheck = results.prechecks.get(name)
+    found = [] if precheck is None else findings(precheck)
+    failed = [each for each in found if each.outcome == "failed"]
+    attacks = _attacks(results.counts, name)
+    if not attacks and found and not failed:
+        raise ConfigurationError(
+            "A verdict expects optimised camouflages or chosen controls among the scores, "
+            f"found none for {name}; attack the detector, then score and report again."
+        )
+    if precheck is None:
+        return _no_verdict(name, "no precheck of it is here (skyproof precheck)")
+    # Findings begin with those of the baselines.
+    of_sets = zip(precheck.sets, found, strict=False)
+    rendered = worst([finding for baseline, finding in of_sets if not baseline.real])
+    if rendered in failed:
+        return _no_verdict(name, f"it failed the precheck: {rendered.words}")
+    scenes = results.test_scenes
+    paints = precheck.paints() if not scenes or precheck.was_made_on(scenes) else {}
+    if attacks or paints:
+        decision = decide(attacks, requirement, paints)
+        if decision.answer == "rejected" or not failed:
+            return _ruling(name, decision, results, requirement)
+    return _no_verdict(name, f"it failed the precheck: {worst(found).words}")
+
+
+def _no_verdict(name: str, why: str) -> Ruling:
+    sentence = (
+        f"{detector_name(name)}: no verdict, because {why}. A detector that fails without "
+        "camouflage cannot be accepted for its robustness to camouflage."
+    )
+    return Ruling(name, "not applicable", [sentence], None, {})
+
+
+def scored_suite(results: Results) -> tuple[dict[str, Any] | Literal["incomplete"] | None, str]:
+    """Gives what `Acceptance` says of the suite, and in a clause what is missing of it."""
+    suite = results.config.suite
+    if suite is None:
+        return None, ""
+    if not suite.scored:
+        return "incomplete", "the run folder does not say which camouflages the suite has"
+    scored = {
+        (key.camouflage, key.detector)
+        for key in results.counts.series
+        if (key.renderer, key.match) == (RENDERER, MAIN_MATCH)
+    }
+    missing = [
+        name
+        for name in suite.scored
+        if not all((name, detector) in scored for detector in results.detectors)
+    ]
+    if missing:
+        first = ", ".join(missing[:3])
+        return "incomplete", (
+            f"{len(missing)} of the {len(suite.scored)} camouflages of the suite were not scored "
+            f"({first}{', …' if len(missing) > 3 else ''})"
+        )
+    return {"version": suite.version, "sha256": suite.sha256}, ""
 
 
 def write_verdict(results: Results, acceptance: Acceptance, alarms: Sequence[str]) -> None:
     """Writes `verdict.json`: the answers, and digests of everything that they rest on."""
     layout = Layout(results.folder)
     digests = {name: card.weights_sha256 for name, card in results.cards.items()}
+    scored = {key.camouflage for key in results.counts.series}
     document = {
         "skyproof": skyproof.__version__,
-        "suite": results.config.every.get("suite"),
+        "suite": acceptance.suite,
         "requirement": asdict(acceptance.requirement),
         "alarms": list(alarms),
         "detectors": [
@@ -117,6 +180,9 @@ def write_verdict(results: Results, acceptance: Acceptance, alarms: Sequence[str
                 "more_vehicles": ruling.more_vehicles,
                 "weights_sha256": digests.get(ruling.detector, ""),
                 "attacks": {name: asdict(said) for name, said in ruling.attacks.items()},
+                "paint": None
+                if ruling.paint is None
+                else {"name": ruling.paint[0], **asdict(ruling.paint[1])},
             }
             for ruling in acceptance.rulings
         ],
@@ -129,7 +195,7 @@ def write_verdict(results: Results, acceptance: Acceptance, alarms: Sequence[str
             "camouflages": {
                 folder.name: _digest(folder)
                 for folder in sorted(layout.camouflages.glob("*"))
-                if (folder / "camouflage.json").exists()
+                if folder.name in scored and (folder / "camouflage.json").exists()
             },
         },
     }
@@ -157,13 +223,18 @@ def _attacks(tiles: OutcomeCounts, detector: str) -> dict[str, tuple[np.ndarray,
 
 def _ruling(name: str, decision: Decision, results: Results, requirement: Requirement) -> Ruling:
     attacks = dict(sorted(decision.attacks.items(), key=lambda item: -item[1].share))
-    worst_name, worst_said = next(iter(attacks.items()))
     shown = detector_name(name)
-    rank = f"worst of {len(attacks)} attacks" if len(attacks) > 1 else "only attack"
-    lost = (
-        f"{worst_name}, the {rank}, hides {percent(worst_said.share)} of the vehicles found before "
-        f"(mean of the tiles, bounds {interval(worst_said.at_least, worst_said.at_most)})"
-    )
+    if decision.paint is not None:
+        paint, hidden = decision.paint
+        said = [
+            f"{shown} is REJECTED: the plain paint {paint} hides {_lost(hidden)}, significantly "
+            f"more than {percent(requirement.accept)}. The bounds allow for the choice of the "
+            "worst paint of the precheck."
+        ]
+        if attacks:
+            said.append(f"{_worst_attack(attacks)}.")
+        return Ruling(name, "rejected", said, 0, attacks, decision.paint)
+    lost = _worst_attack(attacks)
     more: int | None = 0
     if decision.answer == "accepted":
         said = [
@@ -189,15 +260,29 @@ def _ruling(name: str, decision: Decision, results: Results, requirement: Requir
     return Ruling(name, decision.answer, said, more, attacks)
 
 
-def _doubted(ruling: Ruling, requirement: Requirement) -> Ruling:
-    """Withdraws the acceptance of a detector that masks its gradients."""
+def _worst_attack(attacks: Mapping[str, Evidence]) -> str:
+    """Says in a clause what the first of some attacks hides."""
+    name, said = next(iter(attacks.items()))
+    rank = f"worst of {len(attacks)} attacks" if len(attacks) > 1 else "only attack"
+    return f"{name}, the {rank}, hides {_lost(said)}"
+
+
+def _lost(said: Evidence) -> str:
+    return (
+        f"{percent(said.share)} of the vehicles found before (mean of the tiles, bounds "
+        f"{interval(said.at_least, said.at_most)})"
+    )
+
+
+def _doubted(ruling: Ruling, requirement: Requirement, doubts: Sequence[str]) -> Ruling:
+    """Withdraws the acceptance of a detector for doubts about the test."""
     if ruling.answer != "accepted":
         return ruling
     _, *lost = ruling.sentences
     sentences = [
         f"{detector_name(ruling.detector)} is UNDECIDED: every attack hides significantly less "
-        f"than {percent(requirement.reject)}, but the detector masks its gradients (“Query "
-        "attacks”, below), so other attacks could hide more.",
+        f"than {percent(requirement.reject)}, but {listed(doubts)}, so other attacks could hide "
+        "more.",
         *lost,
     ]
     return replace(ruling, answer="undecided", sentences=sentences, more_vehicles=None)

@@ -15,7 +15,7 @@ from skyproof.results.precheck import (
     Finding,
     FindingOutcome,
     Kind,
-    MeasuredOn,
+    PrecheckRecord,
     Rate,
     findings,
     misfit_thresholds,
@@ -23,7 +23,6 @@ from skyproof.results.precheck import (
 )
 from skyproof.results.results import Results
 from skyproof.results.score_folder import Baseline
-from skyproof.scenes.scene import scenes_digest
 from skyproof.words import detector_name, interval, listed, percent
 
 _FEW_FOUND = 0.8
@@ -205,7 +204,7 @@ def precheck_part(results: Results) -> PrecheckPart:
     records = results.prechecks
     found = {name: findings(records[name]) for name in results.detectors if name in records}
     states = [_state(name, found.get(name)) for name in results.detectors]
-    notes = _elsewhere({name: records[name].measured_on for name in found}, results)
+    notes = _elsewhere({name: records[name] for name in found}, results)
     for name in results.detectors:
         if name in results.cards:
             notes += results.cards[name].doubts
@@ -235,14 +234,15 @@ def _state(name: str, found: Sequence[Finding] | None) -> PrecheckState:
     return PrecheckState(detector_name(name), last.outcome, words)
 
 
-def _elsewhere(measured: Mapping[str, MeasuredOn], results: Results) -> list[str]:
+def _elsewhere(records: Mapping[str, PrecheckRecord], results: Results) -> list[str]:
     """Names the detectors whose precheck was made on other scenes."""
     scenes = results.test_scenes
     if not scenes:
         return []
     others: dict[tuple[int, str], list[str]] = {}
-    for name, on in measured.items():
-        if on.scenes_sha256 != scenes_digest(scenes[: on.scenes]):
+    for name, record in records.items():
+        if not record.was_made_on(scenes):
+            on = record.measured_on
             ground = "procedural ground" if on.sources == ("procedural",) else "imagery"
             others.setdefault((on.scenes, ground), []).append(detector_name(name))
     return [

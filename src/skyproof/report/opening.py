@@ -64,6 +64,16 @@ def strongest_of(every: Sequence[Result]) -> Result | None:
 
 def _ruled(ruling: Ruling, steps: Sequence[str]) -> Opening:
     name = detector_name(ruling.detector)
+    if ruling.paint is not None:
+        paint, hidden = ruling.paint
+        return Opening(
+            ruling.answer,
+            f"{name}: REJECTED",
+            percent(hidden.share),
+            f"bounds {interval(hidden.at_least, hidden.at_most)} at the risks of the requirement",
+            f"of the vehicles found without camouflage are missed in the plain paint {paint}.",
+            steps,
+        )
     if not ruling.attacks:
         return Opening(ruling.answer, f"No verdict on {name}", "", "", ruling.sentences[0], steps)
     attack, worst = next(iter(ruling.attacks.items()))

@@ -16,7 +16,7 @@ from skyproof.documents import read_document
 from skyproof.errors import RunFolderError
 from skyproof.files import alone, inside, write_bytes
 from skyproof.layout import Layout
-from skyproof.report.acceptance import read_requirement, rule, write_verdict
+from skyproof.report.acceptance import read_requirement, rule, scored_suite, write_verdict
 from skyproof.report.advice import advice, hardening, limits, readings
 from skyproof.report.answer import answer, compare_renderers, survival, worst_case
 from skyproof.report.baseline import baseline_sets, precheck_part, real_data
@@ -164,7 +164,7 @@ def _write(
             advice=advice(results.by_detector(every[0])) if every else [],
             hardening=hardened,
             limits=limits(results, every),
-            settings=_flat_settings(results.config.every),
+            settings=_flat_settings(_settings(results)),
         )
     )
     write_bytes(layout.report, page.encode())
@@ -343,6 +343,12 @@ def _imagery(results: Results) -> str:
     shown = ", ".join(results.sources[:4])
     more = f" and {len(results.sources) - 4} more" if len(results.sources) > 4 else ""
     return f"real imagery ({shown}{more})"
+
+
+def _settings(results: Results) -> Mapping[str, Any]:
+    """The settings of a run, whose suite is named only if all of it was scored."""
+    every = results.config.every
+    return {**every, "suite": scored_suite(results)[0]} if "suite" in every else every
 
 
 def _flat_settings(value: Any, prefix: str = "") -> list[tuple[str, str]]:

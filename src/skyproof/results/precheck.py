@@ -9,18 +9,21 @@ import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
+import numpy as np
+from jaxtyping import Int
 from msgspec import Meta, Struct
 
 from skyproof.detectors.card import read_card
 from skyproof.documents import read_document
 from skyproof.errors import StoredFileError
 from skyproof.files import new_file, write_json
-from skyproof.ranges import Count, Fraction, Name, Seed
+from skyproof.ranges import Count, Fraction, Name, Seed, WholeNumber
 from skyproof.results.rows_file import flat_row, row_form, row_of
 from skyproof.results.score_folder import Baseline
 from skyproof.results.statistics.intervals import Interval
+from skyproof.scenes.scene import Scene, scenes_digest
 from skyproof.words import detector_name, interval, percent
 
 PRECHECK_FILE = "precheck.json"
@@ -38,6 +41,13 @@ _PAINTS: dict[Kind, re.Pattern[str]] = {
     "paint_whole": _PAINT,
     "two_tone": re.compile("(#[0-9a-f]{6}){2}"),
 }
+
+PAINTED: dict[Kind, str] = {
+    "paint_body": "on body panels",
+    "paint_whole": "on the whole vehicle",
+    "two_tone": "on body panels",
+}
+"""Where each kind of plain paint goes."""
 
 LEAST_AP_RENDERED = 0.95
 """Smallest baseline AP (centre within 1 m) on rendered scenes."""
@@ -63,6 +73,7 @@ _MANY: dict[Kind, str] = {
 _Digest = Annotated[str, Meta(max_length=64)]
 _Label = Annotated[str, Meta(min_length=1, max_length=300)]
 _Text = Annotated[str, Meta(max_length=10_000)]
+_Counts = Annotated[tuple[WholeNumber, ...], Meta(max_length=10_000)]
 
 
 @dataclass(frozen=True)
@@ -70,13 +81,15 @@ class Rate:
     """The share of vehicles that one change hides from one detector.
 
     The name is "#ff8000", "#ff8000#007fff" (upper half first), "0.7 px", "R-PixFc" or "25°". EASR
-    is the mean of several draws for random controls.
+    is the mean of several draws for random controls. Of a paint, the vehicles lost are also counted
+    by tile, in the order of the record's `found_by_tile`; older records lack both.
     """
 
     kind: Kind
     name: _Label
     draws: Count
     easr: Annotated[Interval, Meta(ge=-1e6, le=1)]
+    lost_by_tile: _Counts = ()
 
 
 @dataclass(frozen=True)
@@ -93,7 +106,7 @@ class MeasuredOn:
     ground_sha256: _Digest = ""
     fleet_sha256: _Digest = ""
 
-    def differing(self, other: Self) -> list[str]:
+    def differing(self, other: "MeasuredOn") -> list[str]:
         """Names the differences of two prechecks that both records know."""
         words = {
             "frames_sha256": "images or labels of frames",
@@ -110,7 +123,10 @@ class MeasuredOn:
 
 @dataclass(frozen=True)
 class PrecheckRecord:
-    """The precheck of one detector; `sets` are the unchanged scenes, then each annotated set."""
+    """The precheck of one detector; `sets` are the unchanged scenes, then each annotated set.
+
+    `found_by_tile` are the vehicles found on each tile of the scenes without a change.
+    """
 
     detector: str
     weights_sha256: str
@@ -118,10 +134,25 @@ class PrecheckRecord:
     measured_on: MeasuredOn
     sets: Sequence[Baseline]
     rates: Sequence[Rate]
+    found_by_tile: Sequence[int] = ()
 
     def of_kind(self, kind: Kind) -> list[Rate]:
         """The rates of one kind of change."""
         return [rate for rate in self.rates if rate.kind == kind]
+
+    def paints(self) -> dict[str, tuple[Int[np.ndarray, " C"], Int[np.ndarray, " C"]]]:
+        """Vehicles found before and lost per tile, by plain paint in words; older records: none."""
+        found = np.array(self.found_by_tile, dtype=np.int64)
+        return {
+            f"{rate_words(rate)} {PAINTED[rate.kind]}": (found, np.array(rate.lost_by_tile))
+            for rate in self.rates
+            if rate.kind in PAINTED and rate.lost_by_tile
+        }
+
+    def was_made_on(self, scenes: Sequence[Scene]) -> bool:
+        """Whether these scenes begin with those of the precheck."""
+        of_these = scenes_digest(scenes[: self.measured_on.scenes])
+        return self.measured_on.scenes_sha256 == of_these
 
 
 def write_precheck(folder: Path, record: PrecheckRecord) -> None:
@@ -147,6 +178,12 @@ def read_precheck(folder: Path) -> PrecheckRecord:
                 f"{path} names a paint {row.name[:60]!r}, expected its colour such as #ff8000; "
                 f"{_REMEDY}."
             )
+        pairs = [*zip(row.lost_by_tile, stored.found_by_tile, strict=False)]
+        if len(pairs) < len(row.lost_by_tile) or any(lost > found for lost, found in pairs):
+            raise StoredFileError(
+                f"{path} counts more vehicles lost in the paint {row.name} than were found; "
+                f"{_REMEDY}."
+            )
     return PrecheckRecord(
         detector=stored.detector,
         weights_sha256=stored.weights_sha256,
@@ -154,6 +191,7 @@ def read_precheck(folder: Path) -> PrecheckRecord:
         measured_on=stored.measured_on,
         sets=[row_of(Baseline, row) for row in stored.sets],
         rates=[row_of(Rate, row) for row in stored.rates],
+        found_by_tile=stored.found_by_tile,
     )
 
 
@@ -181,6 +219,7 @@ class _PrecheckDocument(Struct, frozen=True):
     measured_on: MeasuredOn
     sets: Annotated[list[_BaselineRow], Meta(min_length=1, max_length=1000)]
     rates: Annotated[list[_RateRow], Meta(max_length=10_000)]
+    found_by_tile: _Counts = ()
 
 
 @dataclass(frozen=True)

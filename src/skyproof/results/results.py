@@ -3,7 +3,7 @@
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
@@ -57,8 +57,8 @@ class Results:
     """All results of one run. What a run folder lacks is empty.
 
     `rows` are the table of results, renderer by renderer, by each match rule, from the `counts` of
-    outcomes. Cards are by detector, records of camouflages by folder, and practicality is by
-    camouflage without repeat.
+    outcomes. Cards and prechecks are by detector, records of camouflages by folder, and
+    practicality is by camouflage without repeat.
     """
 
     folder: Path
@@ -72,21 +72,23 @@ class Results:
     cards: Mapping[str, DetectorCard]
     records: Mapping[str, AttackRecord]
     practicality: Mapping[CamouflageName, Practicality]
+    prechecks: Mapping[str, PrecheckRecord] = field(default_factory=dict)
 
     @classmethod
     def open(cls, run_folder: str | Path) -> Self:
         """Reads a run folder, or a single score folder.
 
         Raises:
-            StoredFileError: nothing was scored yet, or a file is damaged.
+            StoredFileError: nothing was scored or prechecked yet, or a file is damaged.
             ConfigurationError: the scores do not belong together.
         """
         folder = Path(run_folder)
         layout = Layout(folder)
-        scores = ScoreFolder.all_of(folder)
+        prechecks = read_prechecks(layout.detectors)
+        scores = ScoreFolder.all_of(folder, needed=not prechecks)
         counts, sets = merge_scores(scores)
         config = read_config(layout.config)
-        seed = scores[0].record.seed if config.seed is None else config.seed
+        seed = scores[0].record.seed if config.seed is None and scores else config.seed or 0
         rows: list[Result] = []
         for renderer in dict.fromkeys(key.renderer for key in counts.series):
             # One by one, Holm's correction too: a renderer's numbers stay as they are when another
@@ -99,13 +101,14 @@ class Results:
             scores=scores,
             rows=rows,
             counts=counts,
-            baselines=_merged_baselines(scores),
+            baselines=_merged_baselines(scores, prechecks),
             config=config,
             environment=read_environment(layout.environment),
             timings=read_timings(layout.timings),
             cards=read_detectors(layout.detectors),
             records=read_records(layout.camouflages),
             practicality=_practicality(scores),
+            prechecks=prechecks,
         )
 
     def write(self, worst: Sequence[Mapping[str, Any]] = ()) -> Path:
@@ -123,8 +126,9 @@ class Results:
 
     @cached_property
     def all_detectors(self) -> list[str]:
-        """All detectors of the scores, also those with a baseline alone."""
+        """All detectors of the scores, also those with a baseline alone, or of the prechecks."""
         named = [name for score in self.scores for name in score.record.thresholds]
+        named = named or list(self.prechecks)
         return list(dict.fromkeys([*(row.detector for row in self._single_rows), *named]))
 
     @cached_property
@@ -147,11 +151,6 @@ class Results:
         tiles = read_sources(index) if index.exists() else []
         recorded = [source for score in self.scores for source in score.record.sources]
         return [source for source in dict.fromkeys([*tiles, *recorded]) if source]
-
-    @cached_property
-    def prechecks(self) -> dict[str, PrecheckRecord]:
-        """Prechecks of the run's detectors by name."""
-        return read_prechecks(Layout(self.folder).detectors)
 
     @cached_property
     def test_scenes(self) -> list[Scene]:
@@ -312,11 +311,20 @@ class Results:
         return self.counts.group(keys, self.sample) if known else None
 
 
-def _merged_baselines(scores: Sequence[ScoreFolder]) -> list[Baseline]:
-    """Gives each baseline once: score folders repeat that on the unchanged images."""
+def _merged_baselines(
+    scores: Sequence[ScoreFolder], prechecks: Mapping[str, PrecheckRecord]
+) -> list[Baseline]:
+    """Gives each baseline once: score folders repeat that on the unchanged images.
+
+    Prechecks add the photographs that were not scored, and all their sets to a run without scores.
+    """
     first: dict[tuple[str, str], Baseline] = {}
     for baseline in (one for score in scores for one in score.baselines()):
         first.setdefault((baseline.detector, baseline.dataset), baseline)
+    detectors = {name for score in scores for name in score.record.thresholds}
+    for baseline in (one for record in prechecks.values() for one in record.sets):
+        if not scores or (baseline.real and baseline.detector in detectors):
+            first.setdefault((baseline.detector, baseline.dataset), baseline)
     order = list(dict.fromkeys(detector for detector, _ in first))
     return sorted(first.values(), key=lambda baseline: order.index(baseline.detector))
 

@@ -147,14 +147,17 @@ class ScoreFolder:
         return cls(path, read_document(path / "score.json", ScoreRecord, _REMEDY))
 
     @classmethod
-    def all_of(cls, run_folder: Path) -> list[Self]:
-        """Opens all score folders of a run by name, or the folder itself if it is one."""
+    def all_of(cls, run_folder: Path, *, needed: bool = True) -> list[Self]:
+        """Opens all score folders of a run by name, or the folder itself if it is one.
+
+        With none that is `needed`, a StoredFileError is raised.
+        """
         if (run_folder / "score.json").exists():
             return [cls.open(run_folder)]
         # A hidden folder is being made, or a kill left it.
         found = Layout(run_folder).scores.glob("[!.]*")
         places = sorted(path for path in found if path.is_dir())
-        if not places:
+        if needed and not places:
             raise StoredFileError(
                 f"{run_folder} holds no scores; run skyproof score --out "
                 f"{run_folder / 'scores' / 'NAME'}, or give another run folder."

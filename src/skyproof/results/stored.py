@@ -20,12 +20,21 @@ _Measured = dict[Label, Number | bool | None]
 _REMEDY = "copy the whole folder again, or move this file away"
 
 
+class StoredSuite(Struct, frozen=True):
+    """The suite of a run, with the names of all camouflages that it scores; older runs: none."""
+
+    version: WholeNumber
+    sha256: Text
+    scored: list[Name] = []
+
+
 class RunConfig(Struct, frozen=True):
     """The part of a run's `config.json` that results and report need, and `every` setting."""
 
     title: Label | None = None
     seed: Seed | None = None
     imagery: Text | list[Text] = ""
+    suite: StoredSuite | None = None
     every: Mapping[str, Any] = {}
 
 
@@ -123,7 +132,7 @@ def read_config(path: Path) -> RunConfig:
         return RunConfig()
     every: dict[str, Any] = read_document(path, dict[str, Any], _REMEDY)
     config: RunConfig = check_document(every, RunConfig, str(path), _REMEDY)
-    return RunConfig(config.title, config.seed, config.imagery, every)
+    return RunConfig(config.title, config.seed, config.imagery, config.suite, every)
 
 
 def read_environment(path: Path) -> Mapping[str, Any]:

@@ -33,6 +33,12 @@ _BETS = 1 - (1 - (np.arange(48) + 0.5) / 48) ** 2
 # Where next to nothing can be lost any bet is safe, and it stays finite.
 _LEAST_LOSS = 0.05
 _MOST_TILES = 10**7
+# Part of the producer's risk that the plain paints of a precheck share; the attacks have the rest.
+_RISK_OF_PAINTS = 0.2
+
+# The tiles of a precheck are fewer than those of the attacks.
+Counted = Mapping[str, tuple[Int[np.ndarray, " _C"], Int[np.ndarray, " _C"]]]
+"""Vehicles found before and lost per tile, by attack or by paint."""
 
 
 @dataclass(frozen=True)
@@ -94,45 +100,85 @@ class Decision:
 
     Accepted if every attack has evidence of 1/consumer_risk for acceptance: an intersection–union
     test, whose risk needs no correction. Rejected if the mean of the attacks' evidence for
-    rejection is 1/producer_risk, which keeps the risk for any dependence of the attacks.
+    rejection is 1/producer_risk, which keeps the risk for any dependence of the attacks. With
+    paints of a precheck, a fifth of the producer's risk is theirs, in equal parts, and the detector
+    is also rejected if one of them exceeds `accept` at its part. `paint` is that one: its bounds
+    hold for all paints at once, so the choice of the worst adds no risk.
     """
 
     answer: Answer
     more_tiles: int | None
     attacks: dict[str, Evidence]
+    paint: tuple[str, Evidence] | None = None
 
 
-def decide(
-    attacks: Mapping[str, tuple[Int[np.ndarray, " C"], Int[np.ndarray, " C"]]],
-    requirement: Requirement,
-) -> Decision:
-    """Decides from vehicles found before and lost per tile, by attack; tiles without any pass."""
-    if not attacks or not all(int(found.sum()) for found, _ in attacks.values()):
+def decide(attacks: Counted, requirement: Requirement, paints: Counted | None = None) -> Decision:
+    """Decides from vehicles found before and lost per tile, by attack; tiles without any pass.
+
+    Without attacks, as before they were made, the `paints` of the precheck may reject.
+    """
+    every = {**attacks, **(paints or {})}
+    if not every or not all(int(found.sum()) for found, _ in every.values()):
         raise ConfigurationError(
             "A verdict expects at least one attack and vehicles that are found without it, got "
             "none; look at the detector's precheck first."
         )
-    shares = {name: lost[found > 0] / found[found > 0] for name, (found, lost) in attacks.items()}
+    paint = _rejecting_paint(paints, requirement) if paints else None
+    decision = _by_attacks(attacks, requirement, 1 - _RISK_OF_PAINTS if paints else 1.0)
+    return decision if paint is None else Decision("rejected", 0, decision.attacks, paint)
+
+
+def _rejecting_paint(paints: Counted, requirement: Requirement) -> tuple[str, Evidence] | None:
+    """Gives the paint with most evidence for rejection, if that is enough."""
+    part = _RISK_OF_PAINTS / len(paints)
+    shares = {name: _shares(*counted) for name, counted in paints.items()}
+    against = {name: float(evidence_above(s, requirement.accept)) for name, s in shares.items()}
+    name = max(against, key=lambda each: (against[each], shares[each].mean()))
+    if against[name] < 1 / (part * requirement.producer_risk):
+        return None
+    return name, _evidence(*paints[name], requirement, part)
+
+
+def _by_attacks(attacks: Counted, requirement: Requirement, part: float) -> Decision:
+    """Decides with a part of the producer's risk."""
+    if not attacks:
+        return Decision("undecided", None, {})
+    shares = {name: _shares(*counted) for name, counted in attacks.items()}
     logarithms = {
         name: (_below(each, requirement.reject), _below(1 - each, 1 - requirement.accept))
         for name, each in shares.items()
     }
     tiles = max(len(each) for each in shares.values())
-    said = {
-        name: Evidence(
-            found=int(found.sum()),
-            lost=int(lost.sum()),
-            share=float(shares[name].mean()),
-            at_least=_bound(shares[name], requirement.producer_risk, below=False),
-            at_most=_bound(shares[name], requirement.consumer_risk, below=True),
-            for_acceptance=float(_mean(logarithms[name][0])),
-            for_rejection=float(_mean(logarithms[name][1])),
-        )
-        for name, (found, lost) in attacks.items()
-    }
-    answer = _answer(logarithms, requirement, 1.0)
-    more = _more_tiles(logarithms, requirement, tiles) if answer == "undecided" else 0
+    said = {name: _evidence(*counted, requirement) for name, counted in attacks.items()}
+    limits = (1 / requirement.consumer_risk, 1 / (part * requirement.producer_risk))
+    answer = _answer(logarithms, limits, 1.0)
+    more = _more_tiles(logarithms, limits, tiles) if answer == "undecided" else 0
     return Decision(answer, more, said)
+
+
+def _shares(
+    found: Int[np.ndarray, " C"], lost: Int[np.ndarray, " C"]
+) -> Float[np.ndarray, " _found"]:
+    return np.asarray(lost[found > 0] / found[found > 0])
+
+
+def _evidence(
+    found: Int[np.ndarray, " C"],
+    lost: Int[np.ndarray, " C"],
+    requirement: Requirement,
+    part: float = 1.0,
+) -> Evidence:
+    """Gives the evidence of one attack, with bounds at a part of the risks."""
+    shares = _shares(found, lost)
+    return Evidence(
+        found=int(found.sum()),
+        lost=int(lost.sum()),
+        share=float(shares.mean()),
+        at_least=_bound(shares, part * requirement.producer_risk, below=False),
+        at_most=_bound(shares, part * requirement.consumer_risk, below=True),
+        for_acceptance=float(evidence_below(shares, requirement.reject)),
+        for_rejection=float(evidence_above(shares, requirement.accept)),
+    )
 
 
 def evidence_below(
@@ -172,30 +218,34 @@ def _mean(logarithms: Float[np.ndarray, "*runs bets"]) -> Float[np.ndarray, "*ru
 
 
 def _answer(
-    logarithms: Mapping[str, tuple[np.ndarray, np.ndarray]], requirement: Requirement, times: float
+    logarithms: Mapping[str, tuple[np.ndarray, np.ndarray]],
+    limits: tuple[float, float],
+    times: float,
 ) -> Answer:
-    """Answers as if every tile had been seen this many times."""
+    """Answers by the evidence needed for and against, as if every tile had been seen often."""
     below = [float(_mean(times * each)) for each, _ in logarithms.values()]
     above = [float(_mean(times * each)) for _, each in logarithms.values()]
-    if min(below) >= 1 / requirement.consumer_risk:
+    if min(below) >= limits[0]:
         return "accepted"
-    if sum(above) / len(above) >= 1 / requirement.producer_risk:
+    if sum(above) / len(above) >= limits[1]:
         return "rejected"
     return "undecided"
 
 
 def _more_tiles(
-    logarithms: Mapping[str, tuple[np.ndarray, np.ndarray]], requirement: Requirement, tiles: int
+    logarithms: Mapping[str, tuple[np.ndarray, np.ndarray]],
+    limits: tuple[float, float],
+    tiles: int,
 ) -> int | None:
     """Gives the further tiles that decide, by bisection."""
     few, enough = 1.0, 2.0
-    while _answer(logarithms, requirement, enough) == "undecided":
+    while _answer(logarithms, limits, enough) == "undecided":
         few, enough = enough, 2 * enough
         if enough * tiles > _MOST_TILES:
             return None
     while (enough - few) * tiles > 0.5:
         middle = (few + enough) / 2
-        if _answer(logarithms, requirement, middle) == "undecided":
+        if _answer(logarithms, limits, middle) == "undecided":
             few = middle
         else:
             enough = middle
