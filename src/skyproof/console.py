@@ -11,6 +11,10 @@ from typing import Any
 # Without a terminal (a log file, CI) a line now and then replaces the moving bar.
 _LINE_EVERY_S = 15.0
 
+# The time left is told once so many seconds, or such a share of the work, are measured.
+_TRUSTED_S = 60.0
+_TRUSTED_SHARE = 0.05
+
 
 def say(message: str) -> None:
     """Prints one line."""
@@ -34,6 +38,14 @@ def _print(line: str, stream: Any) -> None:
         print(shown, file=stream, flush=True)
 
 
+def duration(seconds: float) -> str:
+    """A time in words."""
+    minutes = round(seconds / 60)
+    if minutes < 1:
+        return f"{seconds:.0f} s"
+    return f"{minutes} min" if minutes < 100 else f"{seconds / 3600:.1f} h"
+
+
 @contextmanager
 def progress_bar(name: str) -> Iterator[Callable[[int, int], None]]:
     """Yields `update(done, total)`; shows name, progress, time used and time left."""
@@ -43,23 +55,24 @@ def progress_bar(name: str) -> Iterator[Callable[[int, int], None]]:
         return
     started = time.monotonic()
     last = started
-    first = 0
+    first: tuple[int, float] | None = None
 
     def update(done: int, total: int) -> None:
         nonlocal last, first
         now = time.monotonic()
-        first = first or done
+        # Steps finished before a resume cost no time now, and the first one often much.
+        first = first or (done, now)
         if now - last < _LINE_EVERY_S:
             return
         last = now
-        # Steps finished before a resume cost no time now.
-        rate = (done - first + 1) / (now - started)
-        left_s = (total - done) / max(rate, 1e-9)
-        say(f"  {name}: {done}/{total}, {now - started:.0f} s, about {left_s:.0f} s left")
+        more, took_s = done - first[0], now - first[1]
+        trusted = more > 0 and (took_s >= _TRUSTED_S or more >= _TRUSTED_SHARE * (total - first[0]))
+        left = f", about {duration(took_s / more * (total - done))} left" if trusted else ""
+        say(f"  {name}: {done}/{total}, {duration(now - started)}{left}")
 
     say(f"  {name} ...")
     yield update
-    say(f"  {name}: done in {time.monotonic() - started:.0f} s")
+    say(f"  {name}: done in {duration(time.monotonic() - started)}")
 
 
 @contextmanager

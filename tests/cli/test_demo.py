@@ -109,8 +109,30 @@ def test_time_left_is_printed(
             update(step, 200)
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "  train x ..."
-    assert lines[1] == "  train x: 115/200, 15 s, about 85 s left"
-    assert lines[-1] == "  train x: done in 100 s"
+    assert lines[1] == "  train x: 115/200, 15 s, about 1 min left"
+    assert lines[-1] == "  train x: done in 2 min"
+
+
+def test_no_time_left_is_printed_before_it_means_something(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from skyproof import console
+
+    now = [0.0]
+    monkeypatch.setattr(console.time, "monotonic", lambda: now[0])
+    with console.progress_bar("score") as update:
+        # The first of 3,000 images waits for the networks, the others take 10 s each.
+        for done, wait_s in enumerate([29.0, *[10.0] * 9], 1):
+            now[0] += wait_s
+            update(done, 3000)
+    assert capsys.readouterr().out.splitlines()[1:] == [
+        "  score: 1/3000, 29 s",
+        "  score: 3/3000, 1 min",
+        "  score: 5/3000, 1 min",
+        "  score: 7/3000, 1 min, about 8.3 h left",
+        "  score: 9/3000, 2 min, about 8.3 h left",
+        "  score: done in 2 min",
+    ]
 
 
 class Stand(TorchRenderer):

@@ -46,7 +46,8 @@ def test_tiles_hold_images_at_any_heading():
     drawn = tiling_for_images(192, gsd_m=0.125, imagery=False)
     assert drawn == TilingSettings(size_px=274 + 112)
     cut = tiling_for_images(192, gsd_m=0.125, imagery=True)
-    assert cut == TilingSettings(size_px=411, minimum_px=274)
+    assert cut == TilingSettings(size_px=411, minimum_px=192)
+    assert cut.turning_px == 274
 
 
 @pytest.mark.parametrize(
@@ -105,6 +106,22 @@ def test_fleets_without_other_paints_are_drawn_with_a_note(tmp_path, skyproof: S
     skyproof("vehicles", "--out", tmp_path / "much", "--paints.plain", 0.9).refused(
         "at most 1, got 1.35"
     )
+
+
+def test_equal_notes_on_images_are_told_once():
+    counts = {split: {"tiles": 20, "vehicles": 1, "ignored": 2} for split in SPLITS}
+    counts["train"]["tiles"] = 1
+    notes = [f"{name}.jpg: too plain: grey" for name in "abcd"]
+    notes[2:2] = ["e.jpg: of 4 bands", "sharp", "left out 1 label of x.json"]
+    record = TilingRecord({}, [], {}, counts, empty=1, notes=notes)
+    first, second, third, fourth, *rest = tiling_words(record, labelled=True)
+    assert first == "  note: 4 images (a.jpg, b.jpg and 2 more): too plain: grey"
+    assert second == "  note: e.jpg: of 4 bands"
+    assert (third, fourth) == ("  note: sharp", "  note: left out 1 label of x.json")
+    assert " ".join(rest[0].split()) == "train 1 tile, 1 vehicle, 2 ignore regions"
+    assert rest[-1].startswith("  1 cell left out")
+    many = TilingRecord({}, [], {}, counts, empty=0, notes=[f"note {i}" for i in range(40)])
+    assert "  note: 28 more in tiling.json" in [*tiling_words(many, labelled=True)]
 
 
 @pytest.mark.parametrize(("tiles", "told"), [(9, "±33 points"), (12, None), (0, None)])

@@ -7,6 +7,8 @@ import torch
 from PIL import Image
 from rasterio.transform import from_origin
 
+from skyproof.errors import SkyproofError
+from skyproof.imagery.tiles import sources, tiling
 from skyproof.results.statistics.acceptance import fewest_tiles
 from tests.cli.conftest import Skyproof
 from tests.imagery.made import features, noise, shape, smooth_noise, write_image, written
@@ -129,3 +131,20 @@ def test_the_field_of_classes_is_asked_for_and_named(tmp_path, skyproof: Skyproo
     counts = json.loads((tmp_path / "tiles/tiling.json").read_text())["counts"].values()
     assert sum(count["vehicles"] for count in counts) == 3
     assert sum(count["ignored"] for count in counts) >= 1
+
+
+def test_headers_of_images_are_read_once(call, monkeypatch, skyproof: Skyproof):
+    read = []
+    inspect = sources.inspect_source
+
+    def counted(path, *args):
+        read.append(path.name)
+        return inspect(path, *args)
+
+    def stop(*args, **kwargs):
+        raise SkyproofError("tiled")
+
+    monkeypatch.setattr(sources, "inspect_source", counted)
+    monkeypatch.setattr(tiling, "assign_splits", stop)
+    skyproof(*call, "--gsd", 0.125).refused("tiled")
+    assert sorted(read) == ["0.png", "1.png", "2.png", "3.png"]

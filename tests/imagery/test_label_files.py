@@ -145,8 +145,8 @@ def test_labels_that_stand_twice_count_once_and_boxes_are_cut_with_a_note(tmp_pa
     (label,) = labels.images["one"]
     assert label.bounds == (0, 15, 32, 25)
     twice, cut = labels.notes
-    assert twice == f"1 labels of {tmp_path / 'labels.json'} stand there twice and count once"
-    assert cut == f"2 boxes of {tmp_path / 'labels.json'} are cut at the edge of their image"
+    assert twice == f"left out 1 label of {tmp_path / 'labels.json'} that repeated others"
+    assert cut == f"cut 2 boxes of {tmp_path / 'labels.json'} at the edge of the image"
     written(tmp_path / "yolo" / "data.yaml", "names: [car]\n")
     picture(tmp_path / "yolo" / "one.png")
     written(tmp_path / "yolo" / "one.txt", "0 0.2 0.2 0.1 0.1\n" * 3)

@@ -125,7 +125,7 @@ def test_ground_points_of_two_systems(tmp_path, crs):
     }
     for tile_id, values in expected.items():
         assert found[tile_id][0] == pytest.approx(values, abs=0.02)
-    assert any("1 labels of labels.geojson lie outside" in note for note in record.notes)
+    assert any("left out 1 label of labels.geojson outside" in note for note in record.notes)
 
 
 def test_an_image_without_any_label_on_the_ground_is_named(tmp_path):
@@ -135,7 +135,7 @@ def test_an_image_without_any_label_on_the_ground_is_named(tmp_path):
     labels = ground((EAST + 5.0, NORTH - 5.0)), LabelSettings(WHERE)
     _, record = tile([tmp_path], tmp_path / "set", labels=labels)
     (note,) = [note for note in record.notes if "free of vehicles" in note]
-    assert "lies in 1 of 2 images (b.tif)" in note
+    assert "lies in b.tif of 2, which counts" in note
     both = ground((EAST + 5.0, NORTH - 5.0), (EAST + 405.0, NORTH - 5.0)), LabelSettings(WHERE)
     _, record = tile([tmp_path], tmp_path / "both", labels=both)
     assert not any("free of vehicles" in note for note in record.notes)
@@ -157,7 +157,7 @@ def test_an_image_nobody_labelled_is_ignored_as_a_whole(tmp_path):
     ignored = boxes(tmp_path / "set", 1)
     assert {one.id for one in all_tiles(backgrounds) if one.source == "b.tif"} == {*ignored}
     assert {tuple(*found) for found in ignored.values()} == {(0, 0, 64, 64)}
-    assert any(note.startswith("b.tif has no labels") for note in record.notes)
+    assert any(note.startswith("b.tif: no labels") for note in record.notes)
 
 
 def test_labels_on_the_map_say_nothing_of_an_image_without_a_place(tmp_path):
@@ -169,7 +169,7 @@ def test_labels_on_the_map_say_nothing_of_an_image_without_a_place(tmp_path):
     ignored = boxes(tmp_path / "set", 1)
     assert len(bare) == 2
     assert {name: ignored[name] for name in bare} == {name: [(0, 0, 64, 64)] for name in bare}
-    assert [note for note in record.notes if note.startswith("b.tif has no labels: nothing is")]
+    assert [note for note in record.notes if note.startswith("b.tif: no labels, so nothing is")]
     assert len(boxes(tmp_path / "set", 0)) == 1
 
 

@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from statistics import median
 
 from skyproof.assessment.judging import refuse_few_tiles
 from skyproof.assessment.preparing import tiling_of
-from skyproof.assessment.run import Step, duration
+from skyproof.assessment.run import Step
 from skyproof.assessment.subject import Subject
+from skyproof.console import duration
 from skyproof.detectors.import_checkpoint import Checkpoint, read_blueprint
 from skyproof.errors import ImageryError, SkyproofError
 from skyproof.imagery.labels.files import read_labels
 from skyproof.imagery.labels.label import GroundLabels, Labels
-from skyproof.imagery.settings import LabelSettings, SourceSettings
+from skyproof.imagery.settings import LabelSettings
 from skyproof.imagery.tiles.georeference import system_of, to_reference_system
 from skyproof.imagery.tiles.grid import Cell, Grid, cells_of, lay_grids
 from skyproof.imagery.tiles.placed_labels import vehicle_classes
-from skyproof.imagery.tiles.sources import Source, SourceReader, find_images, inspect_source
+from skyproof.imagery.tiles.sources import Source, notes_on
+from skyproof.imagery.words import merged_notes
 from skyproof.results.statistics.acceptance import fewest_tiles
 from skyproof.results.statistics.planning import (
     Assumptions,
@@ -82,14 +83,11 @@ def _look_at_imagery(its: Subject, mistakes: list[SkyproofError]) -> tuple[int, 
     request = its.request
     tiling = tiling_of(its)
     notes: list[str] = []
-    with SourceReader() as reader:
-        files = find_images(request.imagery)
-        given = SourceSettings(gsd_m=request.gsd)
-        sources = [inspect_source(path, given, reader) for path in files]
+    sources = its.inspected
     grids = lay_grids(sources, tiling, notes)
     cells = [cell for grid in grids for cell in cells_of(grid)]
     test_tiles = max(1, round(len(cells) * tiling.shares[3]))
-    sentences = [_imagery(sources, cells), *_equal_notes(sources, notes)]
+    sentences = [_imagery(sources, cells), *merged_notes([*notes_on(sources), *notes])]
     with _noted(mistakes):
         if request.labels is not None:
             settings = LabelSettings(request.labels, request.label_classes)
@@ -122,14 +120,6 @@ def _imagery(sources: Sequence[Source], cells: Sequence[Cell]) -> str:
         f"{placed} of them on a map: about {counted(len(cells), 'tile')} of "
         f"{span(min(tiles_m), max(tiles_m))} m, which cover {percent(min(used, 1.0))} of them"
     )
-
-
-def _equal_notes(sources: Sequence[Source], notes: Sequence[str]) -> Iterator[str]:
-    """Tells equal notes on many images once."""
-    counts = Counter(note for source in sources for note in source.notes)
-    for note, count in counts.items():
-        yield f"{count} of {counted(len(sources), 'image')}: {note}"
-    yield from notes
 
 
 def _labels(

@@ -24,7 +24,6 @@ from skyproof.files import finished_folder
 from skyproof.imagery.clearing.vehicle_masks import VehicleFinder
 from skyproof.imagery.settings import (
     LabelSettings,
-    SourceSettings,
     TilingSettings,
     tiling_for_images,
 )
@@ -63,13 +62,17 @@ def tiling_of(its: Subject) -> TilingSettings:
 def tiles(its: Subject) -> Step:
     """Cuts the imagery into tiles of four splits, with their labels."""
     request, out = its.request, its.layout.tiles
-    source = SourceSettings(gsd_m=request.gsd)
+    source = its.source_settings
     labels = LabelSettings(path=request.labels, classes=request.label_classes)
     tiling = tiling_of(its)
     cut = Ground(out, request.imagery, seed=its.seed, tiling=tiling, source=source, labels=labels)
     read = its.sources.get(str(request.labels))
     settings = (request.imagery, its.seed, tiling, source, labels, read)
-    return Step("ground", "tiles", (out,), cut.run, settings, effort_s=_LONG_S)
+
+    def work() -> None:
+        cut.run(its.inspected)
+
+    return Step("ground", "tiles", (out,), work, settings, effort_s=_LONG_S)
 
 
 def drawn_ground(

@@ -16,7 +16,7 @@ import msgspec
 from msgspec.structs import asdict
 
 from skyproof.assessment.environment import note_end, write_environment
-from skyproof.console import say
+from skyproof.console import duration, say
 from skyproof.documents import read_document
 from skyproof.errors import RunFolderError
 from skyproof.files import Hold, alone, is_leftover, write_json
@@ -323,11 +323,3 @@ def time_left_s(
 def precheck_images(scenes: int, draws: int) -> int:
     """Images of a precheck: every scene as it is, 62 times changed, and in six random controls."""
     return scenes * (1 + 62 + 6 * draws)
-
-
-def duration(seconds: float) -> str:
-    """A time in words."""
-    minutes = round(seconds / 60)
-    if minutes < 1:
-        return f"{seconds:.0f} s"
-    return f"{minutes} min" if minutes < 100 else f"{seconds / 3600:.1f} h"

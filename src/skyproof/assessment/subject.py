@@ -30,6 +30,8 @@ from skyproof.detectors.loaded import load_detector, load_ensemble
 from skyproof.device import choose_device
 from skyproof.errors import ConfigurationError
 from skyproof.files import file_digest
+from skyproof.imagery.settings import SourceSettings
+from skyproof.imagery.tiles.sources import Source, inspect_sources
 from skyproof.layout import Layout
 from skyproof.maite.models import ModelDetector, is_maite_model
 from skyproof.results.statistics.acceptance import Requirement, fewest_tiles
@@ -59,6 +61,16 @@ class Subject:
     device: torch.device
     sources: Mapping[str, str]
     black_box: BlackBoxDetector | None = None
+
+    @property
+    def source_settings(self) -> SourceSettings:
+        """What the user says of the imagery."""
+        return SourceSettings(gsd_m=self.request.gsd)
+
+    @cached_property
+    def inspected(self) -> list[Source]:
+        """The images of the imagery."""
+        return inspect_sources(self.request.imagery, self.source_settings)
 
     @property
     def layout(self) -> Layout:

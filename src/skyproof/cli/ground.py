@@ -17,6 +17,9 @@ from skyproof.scenes.sensor import BlurChoice, chosen_blur_px
 from skyproof.scenes.splits import SPLITS
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from skyproof.imagery.tiles.sources import Source
     from skyproof.imagery.tiles.tiling import TilingRecord
 
 
@@ -57,15 +60,15 @@ class Ground:
                 "images, or folders of them."
             )
 
-    def run(self) -> None:
-        """Writes the tiles and says how many."""
+    def run(self, inspected: Sequence[Source] | None = None) -> None:
+        """Writes the tiles and says how many; the images may have been inspected before."""
         from skyproof.imagery.words import tiling_words
         from skyproof.scenes.background_index import change_sensors
 
         with finished_folder(self.out) as folder:
             if self.sources:
                 labelled = self.labels.path is not None
-                for line in tiling_words(self._cut(folder), labelled=labelled):
+                for line in tiling_words(self._cut(folder, inspected), labelled=labelled):
                     say(line)
             else:
                 self._draw(folder)
@@ -87,7 +90,7 @@ class Ground:
                 progress=update,
             )
 
-    def _cut(self, folder: Path) -> TilingRecord:
+    def _cut(self, folder: Path, inspected: Sequence[Source] | None) -> TilingRecord:
         from skyproof.imagery.labels.files import read_labels
         from skyproof.imagery.tiles.tiling import tile_imagery
         from skyproof.randomness import generator_of
@@ -102,5 +105,6 @@ class Ground:
                 generator=generator_of(self.seed, "imagery"),
                 source_settings=self.source,
                 labels=labels,
+                sources=inspected,
                 progress=update,
             )

@@ -8,6 +8,7 @@ from typing import Any
 from skyproof.imagery.clearing.sunlight import KNOWN_FROM
 from skyproof.imagery.tiles.tiling import TilingRecord
 from skyproof.scenes.splits import SPLITS
+from skyproof.words import counted, named
 
 _MANY_MORE = 3
 """A detector that finds this many times the labelled vehicles mostly raises false alarms."""
@@ -93,13 +94,14 @@ def warnings(totals: dict[str, Any], vehicles_from: list[str]) -> list[str]:
 
 def tiling_words(record: TilingRecord, *, labelled: bool) -> Iterator[str]:
     """Yields notes, counts of tiles, and a warning if they are too few for a test."""
-    yield from (f"  note: {note}" for note in record.notes[:_NOTES_SHOWN])
-    if len(record.notes) > _NOTES_SHOWN:
-        yield f"  note: {len(record.notes) - _NOTES_SHOWN} more in tiling.json"
+    yield from (f"  note: {note}" for note in merged_notes(record.notes))
     for split in SPLITS:
         count = record.counts[split]
-        vehicles = f", {count['vehicles']} vehicles, {count['ignored']} ignore regions"
-        yield f"  {split:<10} {count['tiles']:>7} tiles{vehicles if labelled else ''}"
+        what = {"tiles": "tile"}
+        if labelled:
+            what |= {"vehicles": "vehicle", "ignored": "ignore region"}
+        told = ", ".join(counted(count[key], noun) for key, noun in what.items())
+        yield f"  {split:<10} {told:>7}"
     few = record.counts["test"]["tiles"]
     if 0 < few < _FEW_TILES:
         yield (
@@ -109,4 +111,17 @@ def tiling_words(record: TilingRecord, *, labelled: bool) -> Iterator[str]:
             "ground)."
         )
     if record.empty:
-        yield f"  {record.empty} cells left out: more than 2 % of each is empty"
+        yield f"  {counted(record.empty, 'cell')} left out: more than 2 % of each is empty"
+
+
+def merged_notes(notes: Sequence[str]) -> list[str]:
+    """Tells a few kinds of notes, equal ones on several images once; tiling.json holds all."""
+    names: dict[str, list[str]] = {}
+    for note in notes:
+        name, colon, told = note.partition(": ")
+        names.setdefault(told if colon else note, []).extend([name] if colon else [])
+    merged = [
+        f"{named(of_note, 'image')}: {told}" if of_note else told for told, of_note in names.items()
+    ]
+    rest = len(merged) - _NOTES_SHOWN
+    return merged if rest <= 0 else [*merged[:_NOTES_SHOWN], f"{rest} more in tiling.json"]

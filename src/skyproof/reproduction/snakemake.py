@@ -15,8 +15,8 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from skyproof.assessment.run import Run, Step, duration, time_left_s
-from skyproof.console import say
+from skyproof.assessment.run import Run, Step, time_left_s
+from skyproof.console import duration, say
 from skyproof.errors import RunFolderError
 from skyproof.files import Hold
 from skyproof.reproduction.plan import Plan

@@ -61,8 +61,7 @@ class WrapSettings:
     """How meshes are read and named.
 
     Attributes:
-        scale: metres per unit, one value for all meshes or one per mesh (default: that of the
-            file).
+        scale: metres per unit, one value for all meshes or one per mesh (default: 1).
         up: axis that points up (default: that of the format, or guessed).
         forward: axis of the nose (default: guessed, and reported).
         names: body type of each mesh; the file names if empty. Ids are <body type>-<number>.

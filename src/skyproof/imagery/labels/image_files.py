@@ -16,6 +16,7 @@ from skyproof.imagery.rasters import (
     orientation_of,
     upright_size_px,
 )
+from skyproof.words import counted
 
 LARGEST_NUMBER = 1e9
 """No label lies farther away, in pixels, metres or degrees."""
@@ -59,7 +60,8 @@ class LabelledImages:
         images = {name: tuple(labels) for name, labels in self.labels.items()}
         notes = twice_note(self._twice, self.path)
         if self._cut:
-            notes += (f"{self._cut} boxes of {self.path} are cut at the edge of their image",)
+            cut = counted(self._cut, "box", "boxes")
+            notes += (f"cut {cut} of {self.path} at the edge of the image",)
         return ImageLabels(tuple(classes), images, self.sizes_px, notes)
 
 

@@ -12,6 +12,7 @@ import torch
 from skyproof.datasets.coco import is_within
 from skyproof.datasets.pictures import Boxes
 from skyproof.errors import ImageryError
+from skyproof.words import counted
 
 Point = tuple[float, float]
 Box = tuple[float, float, float, float]
@@ -105,7 +106,7 @@ Labels = ImageLabels | GroundLabels
 
 def twice_note(count: int, path: object) -> tuple[str, ...]:
     """Tells how many labels repeat others to the last digit."""
-    return (f"{count} labels of {path} stand there twice and count once",) if count else ()
+    return (f"left out {counted(count, 'label')} of {path} that repeated others",) if count else ()
 
 
 def require_classes(labels: Labels, classes: Sequence[str], where: str) -> None:

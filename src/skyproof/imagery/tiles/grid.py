@@ -196,12 +196,12 @@ def lay_grids(sources: Sequence[Source], settings: TilingSettings, notes: list[s
             f"holds a whole tile, which takes {least_px * gsd_m:.1f} m on each side ({least_px} px "
             f"of {gsd_m:g} m); give larger images{remedy}."
         )
-    small = [sources[i].path.name for grid in grids if not grid.whole_cells() for i in grid.extents]
-    if small:
-        side_m = least_px * gsd_m
-        notes.append(
-            f"too small for a tile of {side_m:.1f} m and left out: {named(small, 'image')}"
-        )
+    notes += [
+        f"{sources[i].path.name}: too small for a tile of {least_px * gsd_m:.1f} m, and left out"
+        for grid in grids
+        if not grid.whole_cells()
+        for i in grid.extents
+    ]
     notes += _tight_notes(kept, sources, settings)
     return kept
 

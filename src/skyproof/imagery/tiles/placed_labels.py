@@ -26,10 +26,10 @@ from skyproof.imagery.settings import LabelSettings
 from skyproof.imagery.tiles.georeference import system_of, to_reference_system
 from skyproof.imagery.tiles.grid import Cell, Extent, around, extent_of
 from skyproof.imagery.tiles.sources import Source
+from skyproof.words import counted, named
 
 BIN_M = 64.0
 FARTHEST_PX = 1e6
-_NAMED = 3
 EVERYTHING = "image without labels"
 POINT_BOX_M = 4.0
 """A car's upright box at a random heading: the side of the box of a point label."""
@@ -83,7 +83,7 @@ class PlacedLabels:
             outside = self._place_pixels(labels)
         if outside:
             self.notes.append(
-                f"{outside} labels of {settings.path} lie outside the imagery and are left out"
+                f"left out {counted(outside, 'label')} of {settings.path} outside the imagery"
             )
 
     def _place_ground(self, labels: GroundLabels) -> int:
@@ -123,9 +123,8 @@ class PlacedLabels:
             )
         if bare:
             self.notes.append(
-                f"no label of {path} lies in {len(bare)} of {len(self._sources)} images "
-                f"({', '.join(bare[:_NAMED])}{', ...' if len(bare) > _NAMED else ''}): they count "
-                "as free of vehicles; leave out those where nobody looked for any"
+                f"no label of {path} lies in {named(bare, 'image')} of {len(self._sources)}, which "
+                "counts as free of vehicles; leave out images where nobody looked for any"
             )
         return int((~inside).sum())
 
@@ -171,7 +170,7 @@ class PlacedLabels:
     def _add_unlabelled(self, plane: str, number: int) -> None:
         """Ignores a source that nobody labelled."""
         source = self._sources[number]
-        self.notes.append(f"{source.path.name} has no labels: nothing is scored on its tiles")
+        self.notes.append(f"{source.path.name}: no labels, so nothing is scored on its tiles")
         whole = (0.0, 0.0, float(source.width_px), float(source.height_px))
         label = self._to_plane(plane, Label.upright(EVERYTHING, whole, ignore=True), number)
         self._add(plane, _Placed(label, number))

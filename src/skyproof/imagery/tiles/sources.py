@@ -194,6 +194,17 @@ def inspect_source(path: Path, settings: SourceSettings, reader: SourceReader) -
     return dataclasses.replace(source, value_range=(low, high), notes=(*notes, note))
 
 
+def inspect_sources(paths: Sequence[Path], settings: SourceSettings) -> list[Source]:
+    """Finds out how to read the images among `paths`; see `find_images` and `inspect_source`."""
+    with SourceReader() as reader:
+        return [inspect_source(path, settings, reader) for path in find_images(paths)]
+
+
+def notes_on(sources: Sequence[Source]) -> list[str]:
+    """The notes on images, each after the name of its image."""
+    return [f"{source.path.name}: {note}" for source in sources for note in source.notes]
+
+
 def _choose_bands(dataset: DatasetReader, notes: list[str]) -> tuple[int, int, int]:
     """Chooses red, green and blue by colour interpretation, then by name, else the first three."""
     kinds = [kind.name for kind in dataset.colorinterp]

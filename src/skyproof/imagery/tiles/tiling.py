@@ -24,7 +24,12 @@ from skyproof.imagery.settings import LabelSettings, SourceSettings, TilingSetti
 from skyproof.imagery.tiles.georeference import DEGREES, outline, to_reference_system
 from skyproof.imagery.tiles.grid import Cell, assign_splits, cells_of, lay_grids
 from skyproof.imagery.tiles.placed_labels import PlacedLabels
-from skyproof.imagery.tiles.sources import Source, SourceReader, find_images, inspect_source
+from skyproof.imagery.tiles.sources import (
+    Source,
+    SourceReader,
+    inspect_sources,
+    notes_on,
+)
 from skyproof.imagery.tiles.warp import CellImage, read_cell
 from skyproof.ranges import Coordinate, FileReference, Name
 from skyproof.scenes.background_index import BackgroundTile, save_map, save_tile, write_index
@@ -40,7 +45,6 @@ _REMEDY = "copy the whole folder again, or cut the imagery again"
 _System = Annotated[str, Meta(pattern=r"\AEPSG:[0-9]{1,6}\Z")]
 
 _WAITING = "waiting"
-_SAME_NOTES = 8
 
 
 class _TileProperties(msgspec.Struct):
@@ -77,6 +81,7 @@ class TilingRecord:
 
     `blocks_m` are the widths of the blocks of each grid, `counts` the tiles, vehicles and ignore
     regions of each split, and `empty` cells were left out because more than 2 % of them is empty.
+    Notes on one image begin with its name and a colon.
     """
 
     settings: dict[str, Any]
@@ -95,6 +100,7 @@ def tile_imagery(
     generator: torch.Generator,
     source_settings: SourceSettings | None = None,
     labels: tuple[Labels, LabelSettings] | None = None,
+    sources: Sequence[Source] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> TilingRecord:
     """Cuts orthophotos into a background set, and with labels into a dataset per split.
@@ -105,7 +111,8 @@ def tile_imagery(
     georeferenced sources lies in one cell, so in one split. Images without georeference that show
     the same ground, such as frames of a flight, may share it between splits. Vehicles are later
     drawn as sharp (`measure_sensor`) and as bright (`measure_exposure`) as the tiles. `labels` come
-    with their vehicle classes, and `progress` gets (cells done, cells in all).
+    with their vehicle classes, `sources` are the images of `paths` if they were inspected before,
+    and `progress` gets (cells done, cells in all).
 
     Raises:
         ImageryError: an image is missing, unreadable, without resolution, or coarser than 50 cm;
@@ -116,9 +123,9 @@ def tile_imagery(
     source_settings = source_settings or SourceSettings()
     tiles: list[BackgroundTile] = []
     annotations: dict[str, list[Annotation]] = {}
+    sources = sources or inspect_sources(paths, source_settings)
     with SourceReader() as reader:
-        sources = [inspect_source(path, source_settings, reader) for path in find_images(paths)]
-        notes = _notes(sources)
+        notes = notes_on(sources)
         grids = lay_grids(sources, settings, notes)
         cells = {cell.id: cell for grid in grids for cell in cells_of(grid)}
         # An impossible time is refused before anything is cut.
@@ -245,19 +252,6 @@ def _sensor(
         "drawn alike"
     )
     return sensor
-
-
-def _notes(sources: Sequence[Source]) -> list[str]:
-    """Names the image before each of its notes, or their number if many have the same note."""
-    of_note: dict[str, list[str]] = {}
-    for source in sources:
-        for note in source.notes:
-            of_note.setdefault(note, []).append(source.path.name)
-    return [
-        f"{name}: {note}"
-        for note, names in of_note.items()
-        for name in (names if len(names) <= _SAME_NOTES else [f"{len(names):,} images"])
-    ]
 
 
 def _sorted_into_splits(
