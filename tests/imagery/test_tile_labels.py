@@ -184,7 +184,7 @@ def test_labels_on_the_map_say_nothing_of_an_image_without_a_place(tmp_path):
         (pixels(box(0, 0, 5, 5)), {"classes": ()}, r"--labels\.classes"),
         (pixels(box(900, 900, 910, 910)), {}, "None of the 1 labels"),
         (pixels(box(0, 0, 5, 5), stem="z"), {}, "none of these is among the imagery"),
-        (pixels(box(0, 0, 5, 5), sizes={"a": (100, 100)}), {}, r"made for a of \(100, 100\) px"),
+        (pixels(box(0, 0, 5, 5), sizes={"a": (100, 100)}), {}, "says 100 x 100"),
         (ground((172.0, -43.0), crs="EPSG:4326"), {"classes": ()}, "no image says where it lies"),
     ],
 )
