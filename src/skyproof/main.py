@@ -125,7 +125,8 @@ def _sentence(error: Exception) -> str | None:
         return f"{file} cannot be used: {error.strerror or error}; {remedy}."
     if isinstance(error, RecursionError):
         return "a file given here is nested too deep; check the files, and give others."
-    if isinstance(error, MemoryError):
+    # Torch has no error of its own for a CPU's memory.
+    if isinstance(error, MemoryError) or "can't allocate memory" in str(error):
         return "the memory is full; give smaller files, or use a machine with more of it."
     # Torch may not be loaded.
     torch = sys.modules.get("torch")

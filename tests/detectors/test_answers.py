@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 from functools import partial
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import torch
+from detector_images import bar_images
 
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.answers import BlackBoxDetector
@@ -29,6 +32,12 @@ class Says:
 
     def detect(self, images):
         return self.answers
+
+
+class Strange:
+    @property
+    def boxes(self):
+        return 1 / 0
 
 
 def answer(boxes, scores):
@@ -103,7 +112,25 @@ def test_nothing_found_is_an_answer(empty):
         ([answer([BOX], [0.5, 0.6])], "boxes are [K, 4] and scores [K], got [1, 4] and [2]"),
         ([answer([], [0.5])], "1 scores without boxes"),
         ([answer([BOX[:3]], [0.5])], "boxes are [K, 4]"),
-        ([answer("none", [0.5])], "each image expects boxes and scores, got TypeError"),
+        ([answer("none", [0.5])], "each image expects boxes and scores, got ValueError"),
+        ([answer([BOX, BOX[:3]], [0.5, 0.5])], "boxes and scores, got ValueError"),
+        (
+            [answer(torch.tensor([BOX]).to_sparse(), [0.5])],
+            "each image expects boxes and scores, got TypeError",
+        ),
+        ([Strange()], "each image expects boxes and scores, got ZeroDivisionError"),
+        (
+            [answer([[30.0, 20.0, 12.0, 6.0]], [0.5])],
+            "right or bottom comes before its left or top, as if they were a width and a height;",
+        ),
+        (
+            [answer([[0.5, 0.5, 0.2, 0.3]], [0.5])],
+            "as if they were a width and a height in fractions of the image;",
+        ),
+        (
+            [answer([[100.0, 90.0, 150.0, 99.0], BOX], [0.5, 0.4])],
+            "one at [100.0, 90.0, 150.0, 99.0], as if the image were enlarged 2.5 times;",
+        ),
         ([None], "each image expects boxes and scores, got AttributeError"),
         ([], "1 images expect as many answers, got 0"),
         ([answer([], []), answer([], [])], "as many answers, got 2"),
@@ -116,6 +143,69 @@ def test_what_cannot_be_an_answer_is_one_sentence(answers, words):
     assert str(error.value).startswith("The detector theirs gave an answer")
     assert "the same command goes on" in str(error.value)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "form",
+    [
+        np.asarray,
+        lambda part: np.asarray(part)[::-1][::-1],
+        lambda part: np.asarray(part, dtype=np.float16),
+        lambda part: list(np.asarray(part)),
+        lambda part: list(torch.tensor(part)),
+        lambda part: torch.tensor(part, dtype=torch.float64, requires_grad=True),
+    ],
+)
+def test_answers_of_numpy_are_read_without_a_word(form, recwarn):
+    (found,) = BlackBoxDetector(Says((form([BOX, BOX]), form([0.5, 0.25])))).detect(IMAGES)
+    assert found.boxes.tolist() == [BOX, BOX]
+    assert found.scores.tolist() == [0.5, 0.25]
+    assert not recwarn.list
+
+
+def test_whatever_leaves_its_program_is_one_sentence_but_ctrl_c_stops():
+    class Lookalike(KeyboardInterrupt):
+        pass
+
+    class Mute(Exception):
+        def __str__(self):
+            raise ValueError
+
+    def raises(error):
+        def detect(images):
+            raise error
+
+        return BlackBoxDetector(detect)
+
+    for error in (SystemExit(0), Lookalike(), GeneratorExit(), BaseException("gone"), Mute()):
+        with pytest.raises(DetectorAnswerError, match=f"did not answer .{type(error).__name__}"):
+            raises(error).detect(IMAGES)
+    with pytest.raises(KeyboardInterrupt):
+        raises(KeyboardInterrupt()).detect(IMAGES)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda boxes: boxes[:, [1, 0, 3, 2]], "read as top, left, bottom, right .AP 1.00"),
+        (lambda boxes: boxes / 256, "read as fractions of the image's"),
+        (
+            lambda boxes: boxes / 30,
+            r"finds none of the 19 .* \(its 19 boxes are about 0.5 x 1.2 px\), so",
+        ),
+    ],
+)
+def test_boxes_that_look_misplaced_say_what_they_look_like(change, words):
+    images = bar_images(20, 256, seed=0)
+    shown = iter(images.boxes)
+
+    def theirs(batch):
+        return [
+            (change(boxes), [0.9] * len(boxes)) for boxes in itertools.islice(shown, len(batch))
+        ]
+
+    with pytest.raises(ConfigurationError, match=words):
+        load_detector(theirs, images)
 
 
 def test_what_its_program_raises_is_one_sentence():

@@ -32,13 +32,19 @@ def test_each_doubt_is_one_sentence(
     ap: float | None, vehicles: int | None, words: list[str]
 ) -> None:
     card = DetectorCard("mine", threshold=0.5, gsd_m=0.125, validation_vehicles=vehicles)
-    found = replace(card, validation={} if ap is None else {"ap_centre_1m": ap}).doubts
+    validation = {} if ap is None else {"ap_centre_1m": ap}
+    found = replace(card, size="slim", validation=validation).doubts
     assert len(found) == len(words)
     for sentence, part in zip(found, words, strict=True):
         assert part in sentence
         assert "mine" in sentence
         assert sentence.endswith(".")
         assert ". " not in sentence
+
+
+def test_a_black_box_detector_is_not_trained_here() -> None:
+    card = DetectorCard("theirs", threshold=0.5, gsd_m=0.125, validation={"ap_centre_1m": 0.01})
+    assert "check its boxes and the metres per pixel" in card.doubts[0]
 
 
 def test_an_imported_detector_gets_another_remedy() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -18,7 +19,7 @@ from torchvision.ops import box_convert
 from skyproof.detectors.blueprint import ARCHITECTURES, Blueprint
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.imported import ImportedDetector, ImportedFasterRcnn, ImportedFcos
-from skyproof.detectors.ultralytics_detectors import _quiet_import
+from skyproof.detectors.ultralytics_detectors import _quiet_import, _refuse_giants
 from skyproof.errors import ConfigurationError
 from skyproof.storage import weights_digest
 
@@ -450,18 +451,60 @@ def test_a_layer_with_a_wide_window_is_refused(row: list[Any], message: str) -> 
 
 @needs_yolo
 @pytest.mark.parametrize(
-    "row",
+    ("rows", "message"),
     [
-        [-1, 100, "Conv", [8192, 3, 1]],
-        [-1, 1, "nn.Upsample", ["None", 4096, "nearest"]],
+        ([[-1, 100, "Conv", [8192, 3, 1]]], "numbers at once"),
+        ([[-1, 1, "nn.Upsample", ["None", 4096, "nearest"]]], "numbers at once"),
+        ([[-1, 1, "nn.Upsample", ["None", 64, "nearest"]]], "numbers at once"),
+        ([[-1, 1, "nn.Upsample", ["None", 8, "nearest"]]] * 2, "numbers at once"),
+        ([[-1, 1, "Conv", [64, 1, 1]]] * 180, "500,000,000 numbers"),
+        ([[-1, 1, "Conv", [256, 3, 2]], *[[-1, 1, "Conv", [4096, 31, 8]]] * 2], "numbers at once"),
+        ([[-1, 1, "Conv", [96, 31, 1]]] * 3, "operations"),
+        ([[-1, 100, "C2f", [16, True]]] * 199, "10,000 parts"),
+        ([[-1, 1, "ResNetLayer", [16, 16, 1, False, 8192]]], "10,000 parts"),
     ],
-    ids=str,
+    ids=["wide", "4096", "64", "8x8", "many", "weights", "window", "C2f", "ResNet"],
 )
-def test_a_network_of_any_size_is_refused_before_it_takes_memory(row: list[Any]) -> None:
+def test_a_network_of_any_size_is_refused_before_it_takes_memory(
+    rows: list[list[Any]], message: str
+) -> None:
     plan = yolo_plan("yolov8n.yaml", [0])
     layers = json.loads(json.dumps(plan.architecture))
-    layers["backbone"][0] = row
-    with pytest.raises(
-        ConfigurationError, match=r"more than 1,000,000,000 numbers|cannot build the network"
-    ):
+    layers |= {"depth_multiple": 1.0, "width_multiple": 1.0, "scales": None}
+    layers["backbone"] = rows
+    layers["head"] = [[[len(rows) - 1], 1, "Detect", ["nc"]]]
+    started = time.monotonic()
+    with pytest.raises(ConfigurationError, match=f"more than .*{message}"):
         ImportedDetector("mine", replace(plan, architecture=layers))
+    assert time.monotonic() - started < 20
+
+
+@needs_yolo
+@pytest.mark.parametrize("file", ["yolov8x.yaml", "yolov9e.yaml", "yolo26x.yaml"])
+def test_the_largest_published_networks_are_not_refused(file: str) -> None:
+    _refuse_giants(yolo_plan(file, [0]).architecture)  # type: ignore[arg-type]
+
+
+@needs_yolo
+def test_a_network_that_cannot_see_small_images_says_so() -> None:
+    plan = yolo_plan("yolov8n.yaml", [0])
+    layers = json.loads(json.dumps(plan.architecture))
+    layers["backbone"] = [[-1, 1, "Conv", [16, 3, 2]]] * 5 + [[-1, 1, "nn.AvgPool2d", [7, 1]]]
+    layers["head"] = [[[5], 1, "Detect", ["nc"]]]
+    detector = ImportedDetector("mine", replace(plan, architecture=layers)).eval()
+    assert len(detector.detect(torch.zeros(1, 3, 256, 256))) == 1
+    for look in (detector.detect, detector.pyramid, lambda images: detector.loss(images, [EMPTY])):
+        with pytest.raises(ConfigurationError, match="mine cannot see images of 96 x 96 px"):
+            look(torch.zeros(1, 3, 96, 96))
+
+
+EMPTY = torch.zeros(0, 4)
+
+
+def test_absurd_sizes_of_torchvision_are_refused_before_they_take_memory() -> None:
+    with pytest.raises(ConfigurationError, match="with 1,501 classes computes too much"):
+        replace(PLAN, classes=[str(number) for number in range(1501)])
+    with torch.device("meta"):
+        detector = ImportedDetector("mine", replace(PLAN, image_scale=20.0))
+        with pytest.raises(ConfigurationError, match="7680 x 7680 px, 20 times as large as given"):
+            detector.detect(torch.zeros(1, 3, 384, 384))

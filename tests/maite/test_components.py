@@ -214,6 +214,45 @@ def test_other_labels_than_vehicles_are_no_vehicles() -> None:
         HiddenVehicles(SaysAlways(), OneImage(several), labels=(3,))
 
 
+@pytest.mark.parametrize(
+    ("found", "words"),
+    [
+        (answer([[10, 10, 40, 24]], [2], [2.0]), r"scores lie in \[0, 1\], got 2 to 2"),
+        (answer([[10, 10, 40, 24]], [2], [-0.5]), r"scores lie in \[0, 1\], got -0.5"),
+        (answer([[10, 10, 40, 24]], [2], [np.nan]), "finite numbers, got NaN"),
+        (answer([[10, np.nan, 40, 24]], [2], [0.9]), "finite numbers, got NaN"),
+        (answer([[40, 24, 10, 10]], [2], [0.9]), "right or bottom comes before"),
+        (answer([[210, 10, 240, 24]], [2], [0.9]), "boxes lie in the image of 96 x 96 px"),
+        (
+            SimpleNamespace(boxes=[[10, 10, 40, 24]], labels=[2], scores=[0.9, 0.8]),
+            "1 boxes with scores of shape",
+        ),
+        (None, "no attribute 'boxes'"),
+    ],
+)
+def test_the_metric_takes_no_answer_that_cannot_be_one(found: Any, words: str) -> None:
+    metric = HiddenVehicles(SaysAlways(), OneImage({}), labels=(2,))
+    with pytest.raises(DetectorAnswerError, match=f"always gave an answer .*{words}"):
+        metric.update([found], [OneImage.truth], [OneImage.known])
+    with pytest.raises(DetectorAnswerError, match="1 images expect as many answers, got 2"):
+        metric.update([SaysAlways.found] * 2, [OneImage.truth], [OneImage.known])
+    # What was refused was not counted as hidden.
+    assert metric.compute()["hidden"] == 0
+
+    class Broken(SaysAlways):
+        def __call__(self, batch: Any) -> list[Target]:
+            return [found] * len(batch)
+
+    with pytest.raises(DetectorAnswerError, match=words):
+        HiddenVehicles(Broken(), OneImage({}), labels=(2,))
+
+
+@pytest.mark.parametrize("threshold", [float("nan"), 1.5, -1, "0.5"])
+def test_a_threshold_that_is_none_is_refused(threshold: Any) -> None:
+    with pytest.raises(ConfigurationError, match="threshold expects a number from 0 up to 1, got"):
+        HiddenVehicles(SaysAlways(), OneImage({}), threshold=threshold, labels=(2,))
+
+
 def test_vehicles_that_cannot_be_told_apart_are_refused() -> None:
     metric = HiddenVehicles(SaysAlways(), OneImage({}), labels=(2,))
     fewer = answer([[60, 60, 90, 74]], [2], [1])

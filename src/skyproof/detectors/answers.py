@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -61,57 +62,87 @@ class BlackBoxDetector(Detector):
         """See `Detector.detect`; a DetectorAnswerError says how it failed."""
         try:
             answers = self._detect(images)
-        except SkyproofError:
-            raise
-        except Exception as error:
-            # A foreign program may raise anything.
+        except BaseException as error:
+            # A foreign program may raise anything, SystemExit included; Ctrl-C is the user's.
+            if isinstance(error, SkyproofError) or type(error) is KeyboardInterrupt:
+                raise
             raise DetectorAnswerError(
                 f"The detector {self.name} did not answer ({_in_short(error)}); see that it runs, "
                 f"and {_GO_ON}."
             ) from error
-        if not isinstance(answers, Sequence) or len(answers) != len(images):
+        size_px = (images.shape[-1], images.shape[-2])
+        remedy = f"correct it, and {_GO_ON}"
+        return checked_answers(answers, self.name, [size_px] * len(images), remedy)
+
+
+def checked_answers(
+    answers: Any, name: str, sizes_px: Sequence[tuple[int, int]], remedy: str = "correct it"
+) -> list[Detections]:
+    """Checks what the detector of a name answers to images of so many pixels, width first.
+
+    The result is sorted by falling score and cut at the borders of the images. A
+    DetectorAnswerError says what cannot be an answer, and what it looks like.
+    """
+    beginning = f"The detector {name} gave an answer that cannot be one: "
+    try:
+        if not isinstance(answers, Sequence) or len(answers) != len(sizes_px):
             count = len(answers) if isinstance(answers, Sequence) else type(answers).__name__
-            raise self._wrong(f"{len(images)} images expect as many answers", f"{count}")
-        height_px, width_px = images.shape[-2:]
-        return [self._checked(answer, width_px, height_px) for answer in answers]
+            raise _Wrong(f"{len(sizes_px)} images expect as many answers, got {count}")
+        return [_checked(*each) for each in zip(answers, sizes_px, strict=True)]
+    except _Wrong as wrong:
+        raise DetectorAnswerError(f"{beginning}{wrong}; {remedy}.") from wrong.__cause__
 
-    def _checked(self, answer: Any, width_px: int, height_px: int) -> Detections:
-        try:
-            boxes, scores = (
-                torch.as_tensor(part).detach().float().cpu() for part in _parts(answer)
-            )
-        except (AttributeError, KeyError, TypeError, ValueError, RuntimeError) as error:
-            raise self._wrong("each image expects boxes and scores", _in_short(error)) from error
-        if scores.ndim != 1 or (tuple(boxes.shape) != (len(scores), 4) and boxes.numel()):
-            shapes = f"{[*boxes.shape]} and {[*scores.shape]}"
-            raise self._wrong("boxes are [K, 4] and scores [K]", shapes)
-        if len(scores) and not boxes.numel():
-            raise self._wrong("every score has a box", f"{len(scores)} scores without boxes")
-        boxes = boxes.reshape(-1, 4)
-        if not (boxes.isfinite().all() and scores.isfinite().all()):
-            raise self._wrong("boxes and scores are finite numbers", "NaN or infinity")
-        if len(scores) and not (scores.min() >= 0 and scores.max() <= 1):
-            raise self._wrong("scores lie in [0, 1]", f"{scores.min():.4g} to {scores.max():.4g}")
-        if bool((boxes[:, 2:] < boxes[:, :2]).any()):
-            raise self._wrong(
-                "boxes are left, top, right, bottom in pixels",
-                "one whose right or bottom comes before its left or top",
-            )
-        limits = torch.tensor([width_px, height_px, width_px, height_px], dtype=torch.float32)
-        outside = (boxes[:, :2] >= limits[:2]).any(1) | (boxes[:, 2:] <= 0).any(1)
-        if bool(outside.any()):
-            box = [round(value, 1) for value in boxes[outside][0].tolist()]
-            raise self._wrong(
-                f"boxes lie in the image of {width_px} x {height_px} px", f"one at {box}"
-            )
-        order = scores.argsort(descending=True, stable=True)
-        return Detections(boxes[order].clamp(min=0).minimum(limits), scores[order])
 
-    def _wrong(self, expected: str, got: str) -> DetectorAnswerError:
-        return DetectorAnswerError(
-            f"The detector {self.name} gave an answer that cannot be one: {expected}, got {got}; "
-            f"correct it, and {_GO_ON}."
+class _Wrong(Exception):
+    """An answer that cannot be one: what was expected, and what came."""
+
+
+def _checked(answer: Any, size_px: tuple[int, int]) -> Detections:
+    try:
+        boxes, scores = map(_numbers, _parts(answer))
+    except Exception as error:
+        # Answers are objects of another program.
+        raise _Wrong(f"each image expects boxes and scores, got {_in_short(error)}") from error
+    if scores.ndim != 1 or (tuple(boxes.shape) != (len(scores), 4) and boxes.numel()):
+        shapes = f"{[*boxes.shape]} and {[*scores.shape]}"
+        raise _Wrong(f"boxes are [K, 4] and scores [K], got {shapes}")
+    if len(scores) and not boxes.numel():
+        raise _Wrong(f"every score has a box, got {len(scores)} scores without boxes")
+    boxes = boxes.reshape(-1, 4)
+    if not (boxes.isfinite().all() and scores.isfinite().all()):
+        raise _Wrong("boxes and scores are finite numbers, got NaN or infinity")
+    if len(scores) and not (scores.min() >= 0 and scores.max() <= 1):
+        raise _Wrong(f"scores lie in [0, 1], got {scores.min():.4g} to {scores.max():.4g}")
+    limits = torch.tensor([*size_px, *size_px], dtype=torch.float32)
+    turned = (boxes[:, 2:] < boxes[:, :2]).any(1)
+    outside = (boxes[:, :2] >= limits[:2]).any(1) | (boxes[:, 2:] <= 0).any(1)
+    if bool(turned.any()):
+        # Boxes by middle and size, or by corner and size, reach half their size beyond either.
+        sized = bool((boxes >= 0).all() and (boxes[:, :2] + boxes[:, 2:] / 2 <= limits[:2]).all())
+        unit = " in fractions of the image" if float(boxes.max()) <= 1 else ""
+        raise _Wrong(
+            "boxes are left, top, right, bottom in pixels, got one whose right or bottom comes "
+            "before its left or top"
+            f"{f', as if they were a width and a height{unit}' if sized else ''}"
         )
+    if bool(outside.any()):
+        box = [round(value, 1) for value in boxes[outside][0].tolist()]
+        times = float((boxes[:, 2:] / limits[2:]).max())
+        enlarged = f", as if the image were enlarged {times:.1f} times" if times > 1.2 else ""
+        raise _Wrong(
+            f"boxes lie in the image of {size_px[0]} x {size_px[1]} px, got one at {box}{enlarged}"
+        )
+    order = scores.argsort(descending=True, stable=True)
+    return Detections(boxes[order].clamp(min=0).minimum(limits), scores[order])
+
+
+def _numbers(part: Any) -> Tensor:
+    """Reads boxes or scores from a tensor, or from what NumPy can make an array of."""
+    if isinstance(part, Tensor):
+        # NumPy refuses what is sparse, nested or without numbers.
+        return torch.from_numpy(part.detach().float().cpu().numpy())
+    # A copy, because torch takes no array that runs backwards.
+    return torch.from_numpy(np.array(part, dtype=np.float64)).float()
 
 
 def _parts(answer: Any) -> tuple[Any, Any]:
@@ -123,6 +154,9 @@ def _parts(answer: Any) -> tuple[Any, Any]:
     return answer.boxes, answer.scores
 
 
-def _in_short(error: Exception) -> str:
-    text = " ".join(str(error).split())[:200].rstrip(".")
+def _in_short(error: BaseException) -> str:
+    try:
+        text = " ".join(str(error).split())[:200].rstrip(".")
+    except Exception:
+        text = ""
     return f"{type(error).__name__}: {text}" if text else type(error).__name__

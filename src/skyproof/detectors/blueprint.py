@@ -1,8 +1,7 @@
 """The plan of an imported detector's network, without its weights. Imports no torch.
 
 A blueprint comes from folders and checkpoints of strangers, so it may name plain layers only, and
-every number in it is bounded. `ultralytics_detectors` checks the memory of a network before
-building it.
+every number in it is bounded. `ultralytics_detectors` measures a network before building it.
 """
 
 import re
@@ -37,6 +36,9 @@ nn.BatchNorm2d nn.Conv2d nn.ConvTranspose2d nn.Identity nn.MaxPool2d nn.Upsample
 """
 _LAYERS = frozenset(_LAYER_NAMES.split())
 _ACTIVATION = re.compile(r"(torch\.)?nn\.[A-Z]\w*\((\w+=[\w.]+|[0-9.]+)?\)")
+
+# Those of LVIS and more: RetinaNet scores each for 200,000 anchors in an image of 1024 px.
+_MOST_TORCHVISION_CLASSES = 1500
 
 Classes = Annotated[list[Annotated[str, Meta(max_length=200)]], Meta(max_length=5000)]
 
@@ -108,6 +110,11 @@ class Blueprint:
             raise ConfigurationError(
                 f"no detector of kind {self.kind[:100]!r} is called "
                 f"{str(self.architecture)[:100]!r}."
+            )
+        elif len(self.classes) > _MOST_TORCHVISION_CLASSES:
+            raise ConfigurationError(
+                f"a network of torchvision with {len(self.classes):,} classes computes too much, "
+                f"at most {_MOST_TORCHVISION_CLASSES:,} are expected."
             )
         if max(self.vehicle_classes) >= len(self.classes):
             raise ConfigurationError(

@@ -89,6 +89,8 @@ class DetectorCard:
         if ap is not None and ap < LEAST_AP:
             remedy = (
                 "train it longer or on more images"
+                if self.brought is None and self.size
+                else "check its boxes and the metres per pixel that it was made for"
                 if self.brought is None
                 else "check that the checkpoint was trained, and check --vehicle-classes and the "
                 "metres per pixel that it was made for"

@@ -1,6 +1,7 @@
 """Imported detectors at their own resolution, and torchvision's with classes of their own."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 
 import torch
 from jaxtyping import Float
@@ -41,6 +42,9 @@ _CLASS_ROWS = {
     "retinanet": ("head.classification_head.cls_logits.bias", 9),
 }
 
+# Four times the largest image that is not split, and ten times the windows of larger ones.
+_LARGEST_SIDE_PX = 4096
+
 
 class ImportedDetector(TrainableDetector):
     """A network with imported weights at its own resolution; the best vehicle class scores."""
@@ -63,11 +67,13 @@ class ImportedDetector(TrainableDetector):
                 f"{self.name} was imported, so that its loss knows no vehicles; train it "
                 "where it came from."
             )
-        return self.network.loss(self._scaled(images), targets)
+        with self._seeing(images) as scaled:
+            return self.network.loss(scaled, targets)
 
     def candidates(self, images: Images) -> Candidates:
         """See `TrainableDetector.candidates`; boxes in pixels of `images`."""
-        found = self.network.candidates(self._scaled(images))
+        with self._seeing(images) as scaled:
+            found = self.network.candidates(scaled)
         height, width = self.size_px(images)
         ratio = found.boxes.new_tensor(
             [images.shape[-1] / width, images.shape[-2] / height]
@@ -76,7 +82,8 @@ class ImportedDetector(TrainableDetector):
 
     def pyramid(self, images: Images) -> tuple[list[Tensor], int]:
         """See `TrainableDetector.pyramid`; of images at the network's resolution."""
-        return self.network.pyramid(self._scaled(images))
+        with self._seeing(images) as scaled:
+            return self.network.pyramid(scaled)
 
     def size_px(self, images: Tensor) -> tuple[int, int]:
         """Height and width of images at the network's resolution."""
@@ -84,9 +91,32 @@ class ImportedDetector(TrainableDetector):
             1, round(images.shape[-1] * self.image_scale)
         )
 
+    @contextmanager
+    def _seeing(self, images: Tensor) -> Iterator[Tensor]:
+        """Yields images at the network's resolution; one sentence says that it cannot see them."""
+        scaled = self._scaled(images)
+        try:
+            yield scaled
+        except (RuntimeError, ValueError, IndexError) as error:
+            # Memory that is full tells nothing about the network.
+            if isinstance(error, torch.OutOfMemoryError) or "allocate" in str(error):
+                raise
+            height, width = scaled.shape[-2:]
+            raise ConfigurationError(
+                f"The network of {self.name} cannot see images of {width} x {height} px "
+                f"({' '.join(str(error).split())[:200].rstrip('.')}); give larger tiles, or a "
+                "detector for images of such sizes."
+            ) from error
+
     def _scaled(self, images: Tensor) -> Tensor:
         check_images(images)
         height, width = self.size_px(images)
+        if max(height, width) > _LARGEST_SIDE_PX:
+            raise ConfigurationError(
+                f"{self.name} would see images of {width} x {height} px, {self.image_scale:g} times"
+                f" as large as given, and at most {_LARGEST_SIDE_PX} px a side are computed; give "
+                "images near the resolution that it was made for."
+            )
         if (height, width) != tuple(images.shape[-2:]):
             images = functional.interpolate(
                 images, size=(height, width), mode="bilinear", align_corners=False, antialias=True

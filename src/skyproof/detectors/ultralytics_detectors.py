@@ -25,6 +25,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from skyproof.detectors.blueprint import HEADS, check_layers
+from skyproof.detectors.cost import SIDE_PX, measured
 from skyproof.detectors.detector import (
     Boxes,
     Candidates,
@@ -42,9 +43,7 @@ WIDTH_FACTORS = {"slim": 0.25, "full": 0.5}
 POINTS_PER_VEHICLE = 10.0
 # Ultralytics' weight of the class loss.
 CLASS_GAIN = 0.5
-# Limit for a stranger's network: 4 GB of weights, and of its answers to one image of 256 px.
-MOST_NUMBERS = 10**9
-# The widest window of a layer. MOST_NUMBERS bounds memory, but a wide window computes forever.
+# The widest window of a layer.
 _WINDOWS = {"kernel_size": (1, 31), "stride": (1, 8), "padding": (0, 31), "dilation": (1, 8)}
 
 
@@ -215,32 +214,22 @@ def _activate_pooling(model: Any, architecture: Mapping[str, Any]) -> None:
 
 
 def _refuse_giants(architecture: Mapping[str, Any]) -> None:
-    """Builds and runs a network without memory for its numbers, to count them first."""
+    """Builds and runs a network without memory for its numbers, to measure it first."""
     from ultralytics.nn.tasks import parse_model
 
     plan = copy.deepcopy(dict(architecture))
     answers: list[Tensor | None] = []
-    with torch.device("meta"), torch.no_grad():
+    with measured():
         layers, kept = parse_model(plan, ch=3, verbose=False)
         _refuse_wide_windows(layers)
-        count = sum(parameter.numel() for parameter in layers.parameters())
-        answer: Any = torch.zeros(1, 3, 256, 256)
-        # The head's own outputs are as small as its input.
-        for layer in list(layers)[:-1]:
+        answer: Any = torch.zeros(1, 3, SIDE_PX, SIDE_PX)
+        for layer in layers:
             if layer.f != -1:
                 sources = [layer.f] if isinstance(layer.f, int) else layer.f
                 given = [answer if source == -1 else answers[source] for source in sources]
                 answer = given[0] if isinstance(layer.f, int) else given
             answer = layer(answer)
-            parts = answer if isinstance(answer, list | tuple) else [answer]
-            count += sum(part.numel() for part in parts)
             answers.append(answer if layer.i in kept else None)
-            if count > MOST_NUMBERS:
-                break
-    if count > MOST_NUMBERS:
-        raise ConfigurationError(
-            f"the network would hold more than {MOST_NUMBERS:,} numbers; no detector needs so many."
-        )
 
 
 def _refuse_wide_windows(layers: torch.nn.Module) -> None:

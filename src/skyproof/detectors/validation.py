@@ -1,20 +1,30 @@
 """Validation of a detector: precision and recall, average precision, and the frozen threshold."""
 
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 import torch
 from jaxtyping import Float, Int
+from torch import Tensor
 
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.card import DetectorCard, installed_version
-from skyproof.detectors.detector import LOWEST_SCORE, Detector
+from skyproof.detectors.card import LEAST_AP, DetectorCard, installed_version
+from skyproof.detectors.detector import LOWEST_SCORE, Detections, Detector
 from skyproof.detectors.inference import WINDOW_PX, detect_all
 from skyproof.detectors.matching import MatchTable, match_images
 from skyproof.errors import ConfigurationError
 
 # Validation images cannot tell thresholds apart if their F1 differs by no more than this.
 _FLAT_F1 = 0.01
+# An average precision that boxes do not reach by chance if they are read in a wrong way.
+_MISPLACED_AP = 0.5
+# How boxes may be meant that pass for boxes, given the width and height of their image twice.
+_READINGS: dict[str, Callable[[Tensor, Tensor], Tensor]] = {
+    "top, left, bottom, right": lambda boxes, _: boxes[:, [1, 0, 3, 2]],
+    "fractions of the image's sides": lambda boxes, sides_px: boxes * sides_px,
+}
 # Made as COCO makes them: at a recall of exactly 0.7 the last bit decides.
 _LEVELS = np.linspace(0, 1, 101)
 
@@ -102,7 +112,10 @@ def _lowest_within(curve: PrecisionRecall, tolerance: float) -> tuple[float, flo
 
 def validate(detector: Detector, validation: Dataset) -> dict[str, float]:
     """Measures "ap_centre_1m", "ap_iou_50", the "threshold" to freeze, and its "f1" by centres."""
-    detections = detect_all(detector, validation)
+    return _scores(detect_all(detector, validation), validation)
+
+
+def _scores(detections: Sequence[Detections], validation: Dataset) -> dict[str, float]:
     centre = match_images(detections, validation, criterion="centre_1m")
     overlap = match_images(detections, validation, criterion="iou_50")
     threshold, f1 = frozen_threshold(precision_recall(centre))
@@ -126,13 +139,16 @@ def check_validation(validation: Dataset) -> None:
 def frozen_card(detector: Detector, labelled: Dataset, remedy: str) -> DetectorCard:
     """Freezes a detector's threshold; `remedy` is the advice for one that finds nothing."""
     check_validation(labelled)
-    scores = validate(detector, labelled)
+    detections = detect_all(detector, labelled)
+    scores = _scores(detections, labelled)
     threshold = scores.pop("threshold")
     vehicles = sum(map(len, labelled.boxes))
+    if scores["ap_centre_1m"] < LEAST_AP:
+        _refuse_misplaced(detector.name, detections, labelled)
     if not scores["f1"]:
         raise ConfigurationError(
-            f"{detector.name} finds none of the {vehicles} labelled vehicles, so no threshold can "
-            f"be frozen on them; {remedy}."
+            f"{detector.name} finds none of the {vehicles} labelled vehicles{_sizes(detections)}, "
+            f"so no threshold can be frozen on them; {remedy}."
         )
     width_px, height_px = labelled.pictures[0].size_px
     return DetectorCard(
@@ -144,3 +160,27 @@ def frozen_card(detector: Detector, labelled: Dataset, remedy: str) -> DetectorC
         validation_vehicles=vehicles,
         skyproof_version=installed_version(),
     )
+
+
+def _refuse_misplaced(name: str, detections: Sequence[Detections], labelled: Dataset) -> None:
+    """Refuses boxes that lie on the vehicles only if they are read in another way."""
+    for words, read in _READINGS.items():
+        moved = [
+            replace(found, boxes=read(found.boxes, torch.tensor(size_px * 2)).float())
+            for found, size_px in zip(detections, labelled.sizes_px, strict=True)
+        ]
+        ap = average_precision(match_images(moved, labelled, criterion="centre_1m"))
+        if ap > _MISPLACED_AP:
+            raise ConfigurationError(
+                f"The boxes of {name} lie on the labelled vehicles if they are read as {words} "
+                f"(AP {ap:.2f}), but skyproof reads left, top, right, bottom in pixels; convert "
+                "them."
+            )
+
+
+def _sizes(detections: Sequence[Detections]) -> str:
+    boxes = torch.cat([found.boxes for found in detections])
+    if not len(boxes):
+        return ""
+    width, height = (boxes[:, 2:] - boxes[:, :2]).median(dim=0).values.tolist()
+    return f" (its {len(boxes):,} boxes are about {width:.3g} x {height:.3g} px)"

@@ -11,7 +11,8 @@ from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.matching import Criterion, match_images
 from skyproof.errors import ConfigurationError
 from skyproof.maite.datasets import batches
-from skyproof.maite.models import found_vehicles
+from skyproof.maite.models import checked_vehicles
+from skyproof.ranges import Fraction, check_value
 from skyproof.results.outcomes import Cell, count_pairs
 from skyproof.results.rows_file import interval_columns, nulls_for_undefined
 from skyproof.results.statistics.contrasts import Group, mean_interval
@@ -44,6 +45,7 @@ class HiddenVehicles:
     Raises:
         ConfigurationError: threshold or resolution are not known, the model was made for another
             resolution, or no box has one of the labels.
+        DetectorAnswerError: an answer of the model cannot be one.
     """
 
     def __init__(
@@ -64,7 +66,9 @@ class HiddenVehicles:
                 "counts."
             )
         self.metadata: dict[str, Any] = {"id": f"skyproof-hidden-vehicles-{match}"}
+        check_value("The threshold", known, Fraction)
         self._threshold = float(known)
+        self._name = str(model.metadata.get("id", "model"))[:100]
         self._labels = labels
         # A dataset of one class holds only vehicles, under any name.
         self._one_class = len(dataset.metadata.get("index2label") or ()) == 1
@@ -73,6 +77,7 @@ class HiddenVehicles:
         self._match: Criterion = match
         # By the id of each unchanged image.
         self._renderings: dict[str, Any] = {}
+        self._sizes_px: dict[str, tuple[int, int]] = {}
         self._numbers: dict[str, list[int]] = {}
         others: set[int] = set()
         # The intervals are crossed by place and by vehicle.
@@ -81,6 +86,10 @@ class HiddenVehicles:
         self.reset()
         for images, targets, metadata in batches(dataset, batch_size):
             self._renderings |= {str(known["id"]): known.get("rendering") for known in metadata}
+            self._sizes_px |= {
+                str(known["id"]): (np.shape(image)[-1], np.shape(image)[-2])
+                for image, known in zip(images, metadata, strict=True)
+            }
             self._before |= self._found(model(images), targets, metadata)
             others |= {int(label) for target in targets for label in np.ravel(target.labels)}
         if others and not self._before:
@@ -107,6 +116,7 @@ class HiddenVehicles:
         Refused is an image that is not among the unchanged ones, that was rendered by another
         renderer or with other settings, or that came before.
         """
+        changed: set[str] = set()
         for known in metadata_batch:
             image = str(known["id"])
             if image not in self._renderings:
@@ -114,7 +124,7 @@ class HiddenVehicles:
                     f"Image {image[:100]!r} is none of the unchanged dataset's; give the metric "
                     "the dataset that the changed images were made of."
                 )
-            if image in self._changed:
+            if image in self._changed | changed:
                 raise ConfigurationError(
                     f"Image {image[:100]!r} came twice; give each once, and reset the metric "
                     "before another run."
@@ -126,8 +136,10 @@ class HiddenVehicles:
                     "settings than the unchanged one, so that they differ in more than the "
                     "change; render both with the same."
                 )
-            self._changed.add(image)
+            changed.add(image)
         self._after |= self._found(pred_batch, target_batch, metadata_batch)
+        # An image whose answer was refused counts for nothing.
+        self._changed |= changed
 
     def compute(self) -> dict[str, Any]:
         """Gives the rates, or None if no vehicle was found before, and counts.
@@ -168,7 +180,9 @@ class HiddenVehicles:
     ) -> dict[_Vehicle, bool]:
         """Matches the detections of a batch with its vehicles, and tells which are found."""
         seen: dict[_Vehicle, bool] = {}
-        for answer, target, known in zip(predictions, targets, metadata, strict=True):
+        sizes_px = [self._sizes_px[str(known["id"])] for known in metadata]
+        detections = checked_vehicles(predictions, self._labels, self._name, sizes_px)
+        for found, target, known in zip(detections, targets, metadata, strict=True):
             boxes = torch.as_tensor(np.asarray(target.boxes, dtype=np.float32)).reshape(-1, 4)
             image = str(known["id"])
             numbers = self._numbers_of(image, known, len(boxes))
@@ -182,7 +196,6 @@ class HiddenVehicles:
             # The matcher only reads labels.
             gsd_m = self._resolution(known)
             labelled = Dataset.of_images([_NO_PIXELS], [boxes], gsd_m=gsd_m, ignore=[ignore])
-            found = found_vehicles(answer, self._labels)
             table = match_images([found], labelled, criterion=self._match)
             reached = table.found_at(self._threshold).tolist()
             for index, is_found in zip(table.index_of_vehicle.tolist(), reached, strict=True):

@@ -13,12 +13,14 @@ from torch import Tensor
 from torchvision import ops
 
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.answers import BlackBoxDetector
+from skyproof.detectors.answers import BlackBoxDetector, checked_answers
 from skyproof.detectors.detector import LOWEST_SCORE, SUPPRESSION_IOU, Detections, Detector
 from skyproof.detectors.inference import detect_all
 from skyproof.detectors.loaded import load_detector
-from skyproof.errors import ConfigurationError
+from skyproof.errors import ConfigurationError, DetectorAnswerError
 from skyproof.maite.datasets import LABELS, Target
+
+_ROUNDING = 1e-6
 
 
 class DetectorModel:
@@ -163,12 +165,14 @@ def found_vehicles(target: Any, labels: Sequence[int]) -> Detections:
 
     Scores are `[N]` or `[N, classes]`. Those of several classes exclude each other, because MAITE
     lets them sum to at most 1, so the scores of all vehicle classes (`labels`) are added up. A
-    ValueError tells of an answer of another shape.
+    ValueError tells of an answer of another shape, or of scores that are none.
     """
     boxes = np.asarray(target.boxes, dtype=np.float32).reshape(-1, 4)
     scores = np.asarray(target.scores, dtype=np.float32)
     if not len(boxes):
         return Detections(torch.zeros(0, 4), torch.zeros(0))
+    if scores.min() < 0 or scores.max() > 1 + _ROUNDING:
+        raise ValueError(f"scores lie in [0, 1], got {scores.min():.4g} to {scores.max():.4g}")
     if scores.ndim == 2:
         likely = scores[:, list(labels)].sum(1)
     else:
@@ -179,8 +183,23 @@ def found_vehicles(target: Any, labels: Sequence[int]) -> Detections:
     kept = ~(likely <= 0)
     order = np.argsort(-likely[kept], kind="stable")
     # MAITE allows sums to exceed 1 by rounding.
-    certain = np.where(likely[kept] < 1 + 1e-6, np.minimum(likely[kept], 1), likely[kept])
+    certain = np.where(likely[kept] < 1 + _ROUNDING, np.minimum(likely[kept], 1), likely[kept])
     return Detections(
         torch.from_numpy(boxes[kept][order]),
         torch.from_numpy(certain[order].astype(np.float32)),
     )
+
+
+def checked_vehicles(
+    answers: Any, labels: Sequence[int], name: str, sizes_px: Sequence[tuple[int, int]]
+) -> list[Detections]:
+    """Reads a model's answers by `found_vehicles`, and checks them as `checked_answers` does."""
+    try:
+        found = [found_vehicles(answer, labels) for answer in answers]
+    except Exception as error:
+        # Answers are objects of another program.
+        raise DetectorAnswerError(
+            f"The model {name} gave an answer that cannot be one "
+            f"({' '.join(str(error).split())[:200]}); correct it."
+        ) from error
+    return checked_answers(found, name, sizes_px)
