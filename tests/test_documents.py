@@ -100,6 +100,7 @@ def test_text_becomes_a_path_where_one_is_asked_for() -> None:
         (changed(parts=[{"x_m": 1, "y_m": 2}]), ", parts[0]: there is no field 'y_m' (known: x_m"),
         (changed(best={"x_m": 1, "y_m": 2}), ", best: there is no field 'y_m'"),
         (changed(sorts={"e": {"x_m": 1, "y_m": 2}}), ", sorts.e: there is no field 'y_m'"),
+        (changed(best=7), ", best: expected an object or null, got a whole number"),
         (changed(extra=1), "there is no field 'extra'"),
         (changed(name="../../../victim/holiday"), ", name: expected a plain name"),
         (changed(name="a\0b"), ", name: expected a plain name"),

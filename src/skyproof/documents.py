@@ -215,6 +215,8 @@ def _in_words(message: str) -> str:
     """Turns "Expected `float`, got `str` - at `$.a.b`" into ", a.b: expected a number, ..."."""
     said, _, where = message.partition(" - at ")
     place = where.strip("`").removeprefix("$").removeprefix(".")
+    # One of several types stands as `array | null`.
+    said = re.sub(r"`\w+(?: \| \w+)+`", lambda its: its[0].replace(" | ", "` | `"), said)
     for kind, words in _TYPES.items():
         said = said.replace(kind, words)
     for pattern, words in WORDS.items():

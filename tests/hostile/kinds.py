@@ -130,6 +130,8 @@ TEXTS = [
     Kind("YOLO text", "labels/yolo/photo.txt", labelled("yolo"), slow=True),
     Kind("YOLO classes", "labels/yolo/data.yaml", labelled("yolo"), slow=True),
     Kind("DOTA text", "labels/dota/photo.txt", labelled("dota"), slow=True),
+    Kind("VisDrone text", "labels/visdrone/photo.txt", labelled("visdrone"), slow=True),
+    Kind("Pascal VOC", "labels/voc/photo.xml", labelled("voc"), slow=True),
 ]
 CARDS = [
     Kind("card of a detector", "detectors/retinanet/detector.json", score, slow=True),

@@ -1,4 +1,4 @@
-"""Text files of others: YOLO boxes and classes, DOTA boxes."""
+"""Text files of others: YOLO boxes and classes, boxes of DOTA, VisDrone and Pascal VOC."""
 
 import pytest
 

@@ -165,7 +165,7 @@ def test_deep_images_are_refused(tmp_path):
         ("0 a 0.5 0.1 0.1\n", "car\nminibus\n", {}, "line 1 is not"),
         ("0 nan 0.5 0.1 0.1\n", "car\nminibus\n", {}, "line 1 is not"),
         (None, "car\nminibus\n", {}, "no label text"),
-        ("", None, {}, r"0 \.names files"),
+        ("", None, {}, "all are empty"),
         ("", "bus\n", {}, "no class 'car'"),
         ("", "car\nminibus\n", {"pattern": "x*"}, "holds no image"),
     ],

@@ -13,6 +13,7 @@ from skyproof.datasets.dataset import Dataset
 from skyproof.datasets.pictures import Pixels, Window, tensor_of
 from skyproof.errors import ImageryError
 from skyproof.imagery.labels.files import read_labels
+from skyproof.imagery.labels.image_files import IMAGE_FOLDERS
 from skyproof.imagery.labels.label import (
     GroundLabels,
     ImageLabels,
@@ -69,18 +70,18 @@ def read_frames_folder(
     border_px: float = BORDER_PX,
     pattern: str = "*",
 ) -> Dataset:
-    """Reads images of 8 bits with labels in pixels: COCO, YOLO text or DOTA text.
+    """Reads images of 8 bits with labels in pixels, of any form that has images.
 
-    Images lie in `folder` or its `images`, and labels there unless a path is given. They are
-    resampled to `target_gsd_m`. Classes that are not named become ignore regions, as does a border
-    of `border_px` source pixels.
+    Images lie in `folder`, its `images` or `JPEGImages`, and labels there unless a path is given.
+    They are resampled to `target_gsd_m`. Classes that are not named become ignore regions, as does
+    a border of `border_px` source pixels.
 
     Raises:
         ImageryError: there are no images, or one is damaged or has no labels; the labels lack a
             class, have another form, map coordinates or another image size, or lie outside their
             image.
     """
-    for place in (folder, folder / "images"):
+    for place in (folder, *(folder / name for name in IMAGE_FOLDERS)):
         files = sorted(one for one in place.glob(pattern) if one.suffix.lower() in _SUFFIXES)
         if files:
             break

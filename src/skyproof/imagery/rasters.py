@@ -183,14 +183,23 @@ def _check_vrt(path: Path, folder: Path, *, depth: int) -> None:
 
 
 def _elements(path: Path) -> list[ElementTree.Element]:
-    """Parses a VRT, and refuses text that GDAL could parse differently."""
+    """Parses a VRT."""
     if path.stat().st_size > _LARGEST_VRT_BYTES:
         raise ImageryError(f"{path} is too long for a VRT; name its images directly.")
     try:
-        text = path.read_text(encoding="utf-8")
-        if "<!DOCTYPE" in text.upper() or "<!ENTITY" in text.upper():
-            raise ValueError("it defines entities")
-        return list(ElementTree.fromstring(text).iter())
+        return list(parsed_xml(path.read_text(encoding="utf-8")).iter())
     except (ElementTree.ParseError, ValueError, RecursionError) as error:
         reason = " ".join(str(error).split())[:200]
         raise ImageryError(f"{path} is no VRT ({reason}); name its images directly.") from error
+
+
+def parsed_xml(text: str) -> ElementTree.Element:
+    """Parses XML of others, and refuses entities, which may grow, or name files and addresses.
+
+    Raises:
+        ParseError, ValueError: it is no XML, or defines entities.
+    """
+    # GDAL could parse these differently, too.
+    if "<!DOCTYPE" in text.upper() or "<!ENTITY" in text.upper():
+        raise ValueError("it defines entities")
+    return ElementTree.fromstring(text)

@@ -1,15 +1,17 @@
-"""Reads labels as COCO: boxes, or else outlines."""
+"""Reads labels as COCO: boxes, or else outlines and masks."""
 
+import itertools
+from collections.abc import Sequence
 from pathlib import Path, PureWindowsPath
 from typing import Annotated
 
 import msgspec
 from msgspec import Meta
 
-from skyproof.documents import read_document
+from skyproof.documents import parse_document, read_document
 from skyproof.errors import ImageryError
 from skyproof.imagery.labels.image_files import LabelledImages, damaged, upright_label
-from skyproof.imagery.labels.label import ImageLabels
+from skyproof.imagery.labels.label import Box, ImageLabels, Label, Point, outline_corners
 from skyproof.ranges import Coordinate
 
 # Tools count, also in floats, or name every row.
@@ -19,6 +21,10 @@ _Id = (
     | Annotated[str, Meta(max_length=200)]
 )
 _ImageSize = Annotated[float, Meta(ge=0, le=1e6)]
+_Side = Annotated[int, Meta(ge=1, le=10**6)]
+_Run = Annotated[int, Meta(ge=0, le=10**12)]
+_LONGEST_RUN_LETTERS = 13
+"""Letters of five bits each, for 64 bits."""
 
 
 class _CocoCategory(msgspec.Struct):
@@ -36,9 +42,22 @@ class _CocoImage(msgspec.Struct):
 class _CocoAnnotation(msgspec.Struct):
     image_id: _Id
     category_id: _Id
-    bbox: tuple[Coordinate, Coordinate, Coordinate, Coordinate]
+    bbox: tuple[Coordinate, Coordinate, Coordinate, Coordinate] | None = None
+    # Read only where there is no box.
+    segmentation: msgspec.Raw = msgspec.Raw()
     id: _Id | None = None
     iscrowd: bool | Annotated[float, Meta(ge=0, le=1)] = 0
+
+
+class _RunLengths(msgspec.Struct):
+    """Numbers of pixels, column by column, outside and inside an object in turn."""
+
+    size: tuple[_Side, _Side]
+    counts: list[_Run] | str
+
+
+class _Outlined(msgspec.Struct):
+    segmentation: list[list[Coordinate]] | _RunLengths
 
 
 class _CocoFile(msgspec.Struct):
@@ -48,7 +67,10 @@ class _CocoFile(msgspec.Struct):
 
 
 def read_coco_labels(path: Path) -> ImageLabels:
-    """Reads categories, images and boxes of a COCO file; crowds become ignore regions."""
+    """Reads categories, images and boxes of a COCO file; crowds become ignore regions.
+
+    Without a box, the outline counts, with its corners if it has four, or else the mask.
+    """
     document: _CocoFile = read_document(path, _CocoFile, "correct it", error=ImageryError)
     categories = {row.id: row.name for row in document.categories}
     images = LabelledImages(path)
@@ -68,8 +90,82 @@ def read_coco_labels(path: Path) -> ImageLabels:
             known = ", ".join(f"{key} ({name})" for key, name in categories.items()) or "none"
             what = f"has category {row.category_id} but the file lists {known[:500]}"
             raise damaged(where, what)
-        left, top, width, height = row.bbox
-        box = (left, top, left + width, top + height)
-        label = upright_label(categories[row.category_id], box, where, bool(row.iscrowd))
-        images.add(names[row.image_id], label, where)
+        name, class_name, ignore = names[row.image_id], categories[row.category_id], row.iscrowd
+        if row.bbox is not None:
+            left, top, width, height = row.bbox
+            box = (left, top, left + width, top + height)
+            label = upright_label(class_name, box, where, bool(ignore))
+        else:
+            corners = _outline(row.segmentation, images.sizes_px.get(name), where)
+            label = Label(class_name, corners, bool(ignore))
+        images.add(name, label, where)
     return images.with_classes(dict.fromkeys(categories.values()))
+
+
+def _outline(
+    segmentation: msgspec.Raw, size_px: tuple[int, int] | None, where: str
+) -> tuple[Point, ...]:
+    """Returns the corners of the only polygon if it has four, or else of the box around all."""
+    if bytes(segmentation) in (b"", b"null", b"[]"):
+        raise damaged(where, "has neither a bbox nor a segmentation")
+    text = b'{"segmentation":' + bytes(segmentation) + b"}"
+    outlined: _Outlined = parse_document(text, _Outlined, where, "correct it", error=ImageryError)
+    its = outlined.segmentation
+    if isinstance(its, list):
+        if any(len(polygon) < 6 or len(polygon) % 2 for polygon in its):
+            raise damaged(where, "has a segmentation that is not lists of x1, y1, ... xn, yn")
+        points = [point for each in its for point in zip(each[::2], each[1::2], strict=True)]
+        return outline_corners(points)
+    if size_px is not None and tuple(its.size) != size_px[::-1]:
+        height, width = its.size
+        what = f"has a mask of {width} x {height} px but its image {size_px[0]} x {size_px[1]}"
+        raise damaged(where, what)
+    try:
+        runs = _runs(its.counts) if isinstance(its.counts, str) else its.counts
+        return upright_label("", _box_of(runs, its.size), where).corners
+    except ValueError as error:
+        raise damaged(where, f"has a mask whose run lengths {error}") from error
+
+
+def _runs(text: str) -> list[int]:
+    """Decodes the run lengths of pycocotools.
+
+    Letters from "0" on stand for five bits of a number, the lowest first, and a sixth that tells
+    whether more follow. From the fourth number on, the last but one is subtracted. The decoder of
+    pycocotools itself reads beyond the end of a damaged text.
+    """
+    runs: list[int] = []
+    value = letters = 0
+    for letter in text:
+        bits = ord(letter) - ord("0")
+        if not 0 <= bits < 64 or letters == _LONGEST_RUN_LETTERS:
+            raise ValueError("cannot be decoded")
+        value |= (bits & 31) << 5 * letters
+        letters += 1
+        if bits & 32:
+            continue
+        if bits & 16:
+            value -= 1 << 5 * letters
+        runs.append(value + (runs[-2] if len(runs) > 2 else 0))
+        value = letters = 0
+    if letters or any(run < 0 for run in runs):
+        raise ValueError("cannot be decoded")
+    return runs
+
+
+def _box_of(runs: Sequence[int], size: tuple[int, int]) -> Box:
+    """Returns the box around the pixels of every second run."""
+    height, width = size
+    ends = [*itertools.accumulate(runs)]
+    if not ends or ends[-1] != height * width:
+        raise ValueError(f"do not fill {width} x {height} px")
+    spans = [(end - run, end - 1) for run, end in zip(runs[1::2], ends[1::2], strict=True) if run]
+    if not spans:
+        raise ValueError("hold no pixel")
+    columns = [(first // height, last // height) for first, last in spans]
+    left, right = min(first for first, _ in columns), max(last for _, last in columns) + 1
+    top, bottom = min(first % height for first, _ in spans), max(last % height for _, last in spans)
+    if any(first != last for first, last in columns):
+        # From the lowest pixel of a column it goes on with the highest of the next.
+        top, bottom = 0, height - 1
+    return float(left), float(top), float(right), bottom + 1.0

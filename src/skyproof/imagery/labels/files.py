@@ -1,4 +1,4 @@
-"""Reads labels of any of the known forms: COCO, YOLO text, DOTA oriented boxes, vector files."""
+"""Reads labels of any of the known forms, each in a file beside this one."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,17 +11,24 @@ from skyproof.errors import ImageryError
 from skyproof.imagery.labels.coco import read_coco_labels
 from skyproof.imagery.labels.ground import crs_name, read_ground_labels
 from skyproof.imagery.labels.image_files import (
-    IMAGE_FOLDER,
+    IMAGE_FOLDERS,
     LABEL_FOLDERS,
+    label_texts,
     text_lines,
 )
 from skyproof.imagery.labels.label import Labels
-from skyproof.imagery.labels.texts import is_dota_line, read_dota_labels
-from skyproof.imagery.labels.yolo import class_file, read_yolo_labels
+from skyproof.imagery.labels.texts import (
+    is_dota_line,
+    is_visdrone_line,
+    read_dota_labels,
+    read_visdrone_labels,
+)
+from skyproof.imagery.labels.voc import read_voc_labels, voc_files
+from skyproof.imagery.labels.yolo import class_file, is_yolo_line, read_yolo_labels
 
 _FORMS = (
-    "COCO (.json), GeoJSON (.geojson or .json), GeoPackage (.gpkg), Shapefile (.shp), a folder of "
-    "YOLO text with a .names file or data.yaml, or a folder of DOTA text"
+    "COCO (.json), GeoJSON (.geojson or .json), GeoPackage (.gpkg), Shapefile (.shp), or a folder "
+    "of YOLO text with its images, DOTA text, VisDrone text or Pascal VOC .xml"
 )
 
 
@@ -37,9 +44,9 @@ def read_labels(path: Path, classes: Sequence[str] = ()) -> Labels:
 
     The wanted `classes` tell which field of a vector file names classes, also as FIELD=CLASS.
 
-    A folder is YOLO text if it holds `data.yaml` or one `.names` file, COCO if it holds
-    `annotations.json` (as our own datasets do), and DOTA text by its `.txt` files, or those in
-    `labelTxt/`.
+    A folder is YOLO text if it holds `data.yaml`, one `.names` file or `classes.txt`, and COCO if
+    it holds `annotations.json` (as our own datasets do). Otherwise the first line of its `.txt`
+    files decides, or its `.xml` files do, there or in one of `LABEL_FOLDERS`.
 
     Raises:
         ImageryError: the path is missing, empty, damaged or of another form.
@@ -64,25 +71,34 @@ def read_labels(path: Path, classes: Sequence[str] = ()) -> Labels:
 
 def _read_folder(folder: Path) -> Labels:
     # A user who names one of two folders beside each other means both.
-    halves = (IMAGE_FOLDER, *LABEL_FOLDERS)
-    if folder.name in halves and class_file(folder) is None and class_file(folder.parent):
-        folder = folder.parent
-    names = class_file(folder)
-    if names is not None:
-        return read_yolo_labels(folder, names)
+    halved = folder.name in (*IMAGE_FOLDERS, *LABEL_FOLDERS)
+    roots = [folder, folder.parent] if halved else [folder]
+    for root in roots:
+        names = class_file(root)
+        if names is not None:
+            return read_yolo_labels(root, names)
     if (folder / "annotations.json").is_file():
         return read_labels(folder / "annotations.json")
-    place = folder / LABEL_FOLDERS[1] if (folder / LABEL_FOLDERS[1]).is_dir() else folder
-    texts = sorted(place.glob("*.txt"))
-    if not texts:
-        raise ImageryError(f"{folder} holds no labels; expected {_FORMS}.")
-    # Files may be empty (an image without vehicles): the first line in any of them decides.
-    lines = ((text, words) for text in texts for _, words in text_lines(text))
-    text, words = next(lines, (folder, []))
-    if not words or not is_dota_line(words):
-        line = f"{text} begins {' '.join(words[:6])!r}" if words else "all its .txt files are empty"
+    strange = ""
+    for place in (*(root / name for root in roots for name in LABEL_FOLDERS), folder):
+        # Files may be empty (an image without vehicles): the first line in any of them decides.
+        texts = label_texts(place)
+        lines = ((text, words) for text in texts for _, words in text_lines(text))
+        text, words = next(lines, (place, []))
+        if words and is_dota_line(words):
+            return read_dota_labels(place)
+        if words and is_visdrone_line(words):
+            return read_visdrone_labels(place)
+        if words and is_yolo_line(words):
+            return read_yolo_labels(place, None)
+        annotations = voc_files(place)
+        if annotations:
+            return read_voc_labels(place, annotations)
+        if texts:
+            strange = f"{text} begins {' '.join(words[:6])[:100]!r}" if words else "all are empty"
+    if strange:
         raise ImageryError(
-            f"{folder} is neither DOTA text ({line}) nor YOLO text (0 .names files and no "
-            "data.yaml); add the class names for YOLO, or give other labels."
+            f"{folder} holds .txt files, but not of DOTA, VisDrone or YOLO ({strange}); expected "
+            f"{_FORMS}."
         )
-    return read_dota_labels(place)
+    raise ImageryError(f"{folder} holds no labels; expected {_FORMS}.")

@@ -13,7 +13,7 @@ import numpy as np
 from skyproof.errors import ImageryError
 from skyproof.imagery.labels.class_field import chosen_field, name_classes, usual_fields
 from skyproof.imagery.labels.image_files import LARGEST_NUMBER
-from skyproof.imagery.labels.label import GroundLabels, Label, Point, twice_note
+from skyproof.imagery.labels.label import GroundLabels, Label, Point, outline_corners, twice_note
 from skyproof.imagery.settings import names_a_system
 
 if TYPE_CHECKING:
@@ -169,6 +169,4 @@ def _corners(part: Any) -> tuple[Point, ...]:
     left, bottom, right, top = part.bounds
     if part.geom_type != "Polygon" or left == right or bottom == top:
         return ()
-    corners = tuple((x, y) for x, y, *_ in part.exterior.coords[:-1])
-    box = ((left, bottom), (right, bottom), (right, top), (left, top))
-    return corners if len(corners) == 4 else box
+    return outline_corners([(x, y) for x, y, *_ in part.exterior.coords[:-1]])

@@ -20,9 +20,9 @@ from skyproof.words import counted
 
 LARGEST_NUMBER = 1e9
 """No label lies farther away, in pixels, metres or degrees."""
-IMAGE_FOLDER = "images"
-LABEL_FOLDERS = ("labels", "labelTxt")
-"""Names that replace `images` in the path of an image, by Ultralytics and DOTA."""
+IMAGE_FOLDERS = ("images", "JPEGImages")
+LABEL_FOLDERS = ("labels", "labelTxt", "annotations", "Annotations")
+"""Names in place of those of images: by Ultralytics, DOTA, VisDrone and Pascal VOC."""
 _LARGEST_BYTES = 256 * 2**20
 
 
@@ -56,9 +56,13 @@ class LabelledImages:
         self._twice += label in self.labels[name]
         self.labels[name][label] = None
 
-    def with_classes(self, classes: Iterable[str]) -> ImageLabels:
+    @property
+    def classes_found(self) -> list[str]:
+        return sorted({label.class_name for labels in self.labels.values() for label in labels})
+
+    def with_classes(self, classes: Iterable[str], *notes: str) -> ImageLabels:
         images = {name: tuple(labels) for name, labels in self.labels.items()}
-        notes = twice_note(self._twice, self.path)
+        notes += twice_note(self._twice, self.path)
         if self._cut:
             cut = counted(self._cut, "box", "boxes")
             notes += (f"cut {cut} of {self.path} at the edge of the image",)
@@ -88,6 +92,12 @@ def read_text(path: Path) -> str:
         ) from error
 
 
+def label_texts(folder: Path, ending: str = ".txt") -> list[Path]:
+    """Returns the texts in a folder; below it, too, if it is called like a folder of labels."""
+    search = folder.rglob if folder.name in LABEL_FOLDERS else folder.glob
+    return sorted(search(f"*{ending}"))
+
+
 def text_lines(path: Path) -> list[tuple[str, list[str]]]:
     """Returns file and number of every line that is not blank, for messages, and its words."""
     lines = enumerate(read_text(path).splitlines(), 1)
@@ -102,11 +112,11 @@ def finite_numbers(words: Sequence[str]) -> list[float]:
 
 
 def image_of(text: Path) -> Path | None:
-    """Finds the image of the same stem, beside the text or in `images` instead of `labels`."""
+    """Finds the image of the same stem, beside it or in a folder of images instead of labels."""
     folders, parts = [text.parent], text.parent.parts
     last = max((at for at, part in enumerate(parts) if part in LABEL_FOLDERS), default=None)
     if last is not None:
-        folders.append(Path(*parts[:last], IMAGE_FOLDER, *parts[last + 1 :]))
+        folders += [Path(*parts[:last], name, *parts[last + 1 :]) for name in IMAGE_FOLDERS]
     endings = [spelt for suffix in RASTER_SUFFIXES for spelt in (suffix, suffix.upper())]
     candidates = (folder / f"{text.stem}{ending}" for folder in folders for ending in endings)
     return next((image for image in candidates if image.is_file()), None)

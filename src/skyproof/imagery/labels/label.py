@@ -104,6 +104,13 @@ class GroundLabels:
 Labels = ImageLabels | GroundLabels
 
 
+def outline_corners(points: Sequence[Point]) -> tuple[Point, ...]:
+    """Returns four points as they are, and else the corners of the upright box around all."""
+    if len(points) == 4:
+        return tuple(points)
+    return Label.upright("", Label("", tuple(points)).bounds).corners
+
+
 def twice_note(count: int, path: object) -> tuple[str, ...]:
     """Tells how many labels repeat others to the last digit."""
     return (f"left out {counted(count, 'label')} of {path} that repeated others",) if count else ()

@@ -1,4 +1,4 @@
-"""Reads labels as DOTA text."""
+"""Reads labels as DOTA text or VisDrone text."""
 
 from pathlib import Path
 
@@ -8,11 +8,17 @@ from skyproof.imagery.labels.image_files import (
     finite_numbers,
     image_of,
     image_size_px,
+    label_texts,
     text_lines,
 )
 from skyproof.imagery.labels.label import ImageLabels, Label
 
 _DOTA_HEADERS = ("imagesource:", "gsd:")
+_VISDRONE_CLASSES = (
+    *("ignored regions", "pedestrian", "people", "bicycle", "car", "van", "truck", "tricycle"),
+    *("awning-tricycle", "bus", "motor", "others"),
+)
+"""By category, from https://github.com/VisDrone/VisDrone2018-DET-toolkit."""
 
 
 def is_dota_line(words: list[str]) -> bool:
@@ -37,15 +43,13 @@ def _is_number(word: str) -> bool:
 def read_dota_labels(folder: Path) -> ImageLabels:
     """Reads `x1 y1 ... x4 y4 class difficult` lines; difficult objects become ignore regions."""
     images = LabelledImages(folder)
-    for text in sorted(folder.glob("*.txt")):
+    for text in label_texts(folder):
         image = image_of(text)
         images.add_image(text.stem, None if image is None else image_size_px(image))
         for where, words in text_lines(text):
             if not words[0].lower().startswith(_DOTA_HEADERS):
                 images.add(text.stem, _dota_label(where, words), where)
-    return images.with_classes(
-        sorted({label.class_name for labels in images.labels.values() for label in labels})
-    )
+    return images.with_classes(images.classes_found)
 
 
 def _dota_label(where: str, words: list[str]) -> Label:
@@ -58,3 +62,55 @@ def _dota_label(where: str, words: list[str]) -> Label:
         raise damaged(where, "is not 'x1 y1 x2 y2 x3 y3 x4 y4 class difficult'") from error
     corners = (x1, y1), (x2, y2), (x3, y3), (x4, y4)
     return Label(words[8], corners, ignore=words[9:] not in ([], ["0"]))
+
+
+def is_visdrone_line(words: list[str]) -> bool:
+    """Tells whether a line is eight numbers with commas."""
+    try:
+        return len(_visdrone_numbers(words)) == 8
+    except ValueError:
+        return False
+
+
+def _visdrone_numbers(words: list[str]) -> list[float]:
+    # Some lines of the public set end with a comma.
+    return finite_numbers("".join(words).removesuffix(",").split(","))
+
+
+def read_visdrone_labels(folder: Path) -> ImageLabels:
+    """Reads `left,top,width,height,score,category,truncation,occlusion` lines.
+
+    Category 0 and score 0 are ignore regions. Boxes without size, as the public set holds some,
+    are left out with a note.
+    """
+    images = LabelledImages(folder)
+    flat = 0
+    for text in label_texts(folder):
+        image = image_of(text)
+        images.add_image(text.stem, None if image is None else image_size_px(image))
+        for where, words in text_lines(text):
+            label = _visdrone_label(where, words)
+            if label is None:
+                flat += 1
+            else:
+                images.add(text.stem, label, where)
+    notes = [f"{flat} boxes of {folder} have no width or no height and are left out"]
+    return images.with_classes(_VISDRONE_CLASSES[1:], *notes[: bool(flat)])
+
+
+def _visdrone_label(where: str, words: list[str]) -> Label | None:
+    try:
+        left, top, width, height, score, category, _, _ = _visdrone_numbers(words)
+        if width < 0 or height < 0 or score not in (0, 1):
+            raise ValueError
+    except ValueError as error:
+        form = "'left,top,width,height,score,category,truncation,occlusion' with a score of 0 or 1"
+        raise damaged(where, f"is not {form}") from error
+    if category not in range(len(_VISDRONE_CLASSES)):
+        what = f"has category {category:g} but VisDrone's are 0 to {len(_VISDRONE_CLASSES) - 1}"
+        raise damaged(where, what)
+    if not (width and height):
+        return None
+    box = (left, top, left + width, top + height)
+    name = _VISDRONE_CLASSES[int(category)]
+    return Label.upright(name, box, ignore=score == 0 or category == 0)

@@ -14,15 +14,16 @@ from skyproof.imagery.labels.image_files import (
     finite_numbers,
     image_of,
     image_size_px,
+    label_texts,
     read_text,
     text_lines,
     upright_label,
 )
-from skyproof.imagery.labels.label import ImageLabels, Label
+from skyproof.imagery.labels.label import ImageLabels, Label, outline_corners
 
 
 def class_file(folder: Path) -> Path | None:
-    """Finds the class names of a YOLO folder: `data.yaml`, its one `.names` file, or None."""
+    """Finds the class names of a YOLO folder: `data.yaml`, its one `.names` file, `classes.txt`."""
     names = sorted(folder.glob("*.names"))
     if (folder / "data.yaml").is_file():
         return folder / "data.yaml"
@@ -31,18 +32,33 @@ def class_file(folder: Path) -> Path | None:
             f"{folder} holds {len(names)} .names files but exactly one must list its classes; keep "
             "one."
         )
-    return names[0] if names else None
+    names += [folder / "classes.txt", folder / LABEL_FOLDERS[0] / "classes.txt"]
+    return next((file for file in names if file.is_file()), None)
 
 
-def read_yolo_labels(folder: Path, names: Path) -> ImageLabels:
-    """Reads `class cx cy w h` or `class x1 y1 ... x4 y4` lines, as shares of the image's sides.
+def is_yolo_line(words: list[str]) -> bool:
+    """Tells whether a line is a whole number and a box or polygon."""
+    try:
+        index, *values = finite_numbers(words)
+    except ValueError:
+        return False
+    return index == int(index) >= 0 and _is_shape(values)
 
-    Texts without an image of their name, such as a read-me, are skipped.
+
+def _is_shape(values: Sequence[float]) -> bool:
+    return len(values) == 4 or (len(values) >= 6 and len(values) % 2 == 0)
+
+
+def read_yolo_labels(folder: Path, names: Path | None) -> ImageLabels:
+    """Reads `class cx cy w h` or `class x1 y1 ... xn yn` lines, as shares of the image's sides.
+
+    Four corners are kept; any other polygon becomes the upright box around it. Without class names,
+    one class may occur. Texts without an image of their name, such as a read-me, are skipped.
     """
-    classes = _classes(names)
+    classes = None if names is None else _classes(names)
     images = LabelledImages(folder)
     root = folder / LABEL_FOLDERS[0]
-    for text in sorted(root.rglob("*.txt") if root.is_dir() else folder.glob("*.txt")):
+    for text in label_texts(root if root.is_dir() else folder):
         image = image_of(text)
         if image is None:
             continue
@@ -55,27 +71,38 @@ def read_yolo_labels(folder: Path, names: Path) -> ImageLabels:
             f"{folder} holds no label text (.txt) with an image of the same name; give another "
             "folder."
         )
-    return images.with_classes(classes)
+    if classes is not None:
+        return images.with_classes(classes)
+    found = images.classes_found
+    if len(found) > 1:
+        raise ImageryError(
+            f"{folder} lists no names of its {len(found)} classes ({', '.join(found)[:200]}); add "
+            "data.yaml, a .names file or classes.txt."
+        )
+    note = f"{folder} lists no names of classes: its only one is called {', '.join(found)!r}"
+    return images.with_classes(found, note)
 
 
 def _yolo_label(
-    where: str, words: list[str], classes: Sequence[str], size_px: tuple[int, int]
+    where: str, words: list[str], classes: Sequence[str] | None, size_px: tuple[int, int]
 ) -> Label:
     try:
         index, *values = finite_numbers(words)
-        if len(values) not in (4, 8):
+        if not _is_shape(values):
             raise ValueError
     except ValueError as error:
-        raise damaged(where, "is not 'class cx cy w h' or 'class x1 y1 ... x4 y4'") from error
-    if index != int(index) or not 0 <= index < len(classes):
-        raise damaged(where, f"has class {index:g} but there are {len(classes)} names")
+        raise damaged(where, "is not 'class cx cy w h' or 'class x1 y1 ... xn yn'") from error
+    if index != int(index) or index < 0 or (classes is not None and index >= len(classes)):
+        known = "" if classes is None else f" but there are {len(classes)} names"
+        raise damaged(where, f"has class {index:g}{known}")
+    class_name = f"class {index:g}" if classes is None else classes[int(index)]
     if len(values) == 4:
         x, y, width, height = values
         box = (x - width / 2, y - height / 2, x + width / 2, y + height / 2)
         shares = upright_label("", box, where).corners
     else:
-        shares = tuple(zip(values[::2], values[1::2], strict=True))
-    return Label(classes[int(index)], tuple((x * size_px[0], y * size_px[1]) for x, y in shares))
+        shares = outline_corners([*zip(values[::2], values[1::2], strict=True)])
+    return Label(class_name, tuple((x * size_px[0], y * size_px[1]) for x, y in shares))
 
 
 def _classes(path: Path) -> list[str]:

@@ -21,7 +21,7 @@ from rasterio.io import DatasetReader
 from rasterio.windows import Window
 
 from skyproof.errors import ImageryError
-from skyproof.imagery.labels.image_files import IMAGE_FOLDER
+from skyproof.imagery.labels.image_files import IMAGE_FOLDERS
 from skyproof.imagery.rasters import (
     RASTER_SUFFIXES,
     open_raster,
@@ -77,7 +77,8 @@ class Source:
 
 
 def find_images(paths: Sequence[Path]) -> list[Path]:
-    """Lists the images among `paths`, and in the folders among them or their `images/`.
+    """Lists the images among `paths`, and in the folders among them, or in their `images/` or
+    `JPEGImages/`.
 
     Raises:
         ImageryError: a path is missing, a folder holds no image, or two images share a name.
@@ -85,7 +86,8 @@ def find_images(paths: Sequence[Path]) -> list[Path]:
     files: list[Path] = []
     for path in map(Path, paths):
         if path.is_dir():
-            images = _images_in(path) or _images_in(path / IMAGE_FOLDER)
+            places = (path, *(path / name for name in IMAGE_FOLDERS))
+            images = next(filter(None, map(_images_in, places)), [])
             if not images:
                 raise ImageryError(
                     f"{path} holds no image ({', '.join(RASTER_SUFFIXES)}); give another folder "

@@ -1,0 +1,82 @@
+"""Reads labels as Pascal VOC XML."""
+
+from collections.abc import Iterator
+from pathlib import Path, PureWindowsPath
+from xml.etree.ElementTree import Element, ParseError
+
+from skyproof.imagery.labels.image_files import (
+    LabelledImages,
+    damaged,
+    finite_numbers,
+    image_of,
+    image_size_px,
+    label_texts,
+    read_text,
+    upright_label,
+)
+from skyproof.imagery.labels.label import ImageLabels, Label
+from skyproof.imagery.rasters import parsed_xml
+
+_SIDES = ("xmin", "ymin", "xmax", "ymax")
+_LONGEST_NAME = 200
+
+
+def voc_files(folder: Path) -> list[tuple[Path, Element]]:
+    """Returns the annotations in a folder, parsed; other XML, such as GDAL's, is not listed."""
+    return [*_annotations(folder)]
+
+
+def _annotations(folder: Path) -> Iterator[tuple[Path, Element]]:
+    for file in label_texts(folder, ".xml"):
+        # Files of GDAL and ESRI beside images and vector files.
+        if file.name.lower().endswith((".aux.xml", ".shp.xml")):
+            continue
+        try:
+            root = parsed_xml(read_text(file))
+        except (ParseError, ValueError, RecursionError) as error:
+            reason = " ".join(str(error).split())[:200]
+            raise damaged(str(file), f"is not XML that is read ({reason})") from error
+        if root.tag == "annotation":
+            yield file, root
+
+
+def read_voc_labels(folder: Path, files: list[tuple[Path, Element]]) -> ImageLabels:
+    """Reads objects with an upright box; difficult ones become ignore regions.
+
+    The first pixel has the number 1, and the last one lies inside the box. The image is the one of
+    the file's own name, if it is found, or else the one that the file names.
+    """
+    images = LabelledImages(folder)
+    for file, root in files:
+        image = image_of(file)
+        named = PureWindowsPath((root.findtext("filename") or "").strip()).stem
+        name = file.stem if image is not None or not named else named
+        images.add_image(name, _size_px(root) or (None if image is None else image_size_px(image)))
+        for number, row in enumerate(root.iterfind("object"), 1):
+            where = f"{file} object {number}"
+            images.add(name, _label(row, where), where)
+    return images.with_classes(images.classes_found)
+
+
+def _size_px(root: Element) -> tuple[int, int] | None:
+    """Returns the stated size; writers that do not know it leave it out or write 0."""
+    words = [(root.findtext(f"size/{side}") or "").strip() for side in ("width", "height")]
+    width, height = (int(word) if word.isdecimal() and len(word) < 8 else 0 for word in words)
+    return (width, height) if width and height else None
+
+
+def _label(row: Element, where: str) -> Label:
+    name = (row.findtext("name") or "").strip()
+    if not 0 < len(name) <= _LONGEST_NAME:
+        raise damaged(where, "has no name")
+    try:
+        sides = [row.findtext(f"bndbox/{side}") or "" for side in _SIDES]
+        left, top, right, bottom = finite_numbers(sides)
+    except ValueError as error:
+        what = f"has no bndbox of numbers ({', '.join(_SIDES)})"
+        raise damaged(where, what) from error
+    difficult = (row.findtext("difficult") or "0").strip().lower()
+    if difficult not in ("0", "1", "false", "true"):
+        raise damaged(where, f"is difficult as {difficult[:40]!r}, not 0 or 1")
+    box = (left - 1, top - 1, right, bottom)
+    return upright_label(name, box, where, difficult in ("1", "true"))
