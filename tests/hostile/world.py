@@ -58,10 +58,10 @@ DOTA_TEXT = (
     "imagesource:GoogleEarth\ngsd:0.125\n"
     "20 20 50 20 50 34 20 34 car 0\n90 100 120 100 120 114 90 114 bus 1\n"
 )
-VISDRONE_TEXT = "20,20,30,14,1,4,0,0\n90,100,30,14,0,5,1,2,\n"
+VISDRONE_TEXT = "20, 20, 30, 14, 1, 4, 0, 0\n90,100,30,14,0,5,1,2,\n"
 VOC_TEXT = (
-    "<annotation><filename>photo.tif</filename><object><name>car</name><difficult>0</difficult>\n"
-    "<bndbox><xmin>21</xmin><ymin>21</ymin><xmax>50</xmax><ymax>34</ymax></bndbox></object>\n"
+    "<annotation><filename>photo.tif</filename><object><name>car</name><difficult> 0 </difficult>\n"
+    "<bndbox><xmin> 21 </xmin><ymin> 21 </ymin><xmax>50</xmax><ymax>34</ymax></bndbox></object>\n"
     "</annotation>\n"
 )
 

@@ -63,8 +63,8 @@ class Request:
         imagery: orthophotos or folders of them, as GeoTIFF, or JPEG or PNG with `--gsd`. Without
             any, ground is drawn, and the result says nothing about your sites.
         gsd: metres per pixel of imagery that does not state it.
-        labels: vehicle labels of the imagery: COCO, YOLO or DOTA text, GeoJSON, GeoPackage or
-            Shapefile. They freeze the threshold.
+        labels: vehicle labels of the imagery: COCO, YOLO, DOTA or VisDrone text, Pascal VOC,
+            GeoJSON, GeoPackage or Shapefile. They freeze the threshold.
         label_classes: vehicle classes of the labels, if they have several classes. FIELD=CLASS
             also names the field of a vector file.
         vehicle_classes: vehicle classes of a checkpoint (Ultralytics: names, torchvision: numbers).

@@ -116,7 +116,8 @@ class LabelSettings:
     """The labels of vehicles, and their vehicle classes.
 
     Attributes:
-        path: labels as COCO, YOLO text, DOTA text, GeoJSON, GeoPackage or Shapefile.
+        path: labels as COCO, YOLO, DOTA or VisDrone text, Pascal VOC, GeoJSON, GeoPackage or
+            Shapefile.
         classes: vehicle classes, if the labels have several classes. Other objects become ignore
             regions. FIELD=CLASS also names the field of a vector file.
     """

@@ -184,7 +184,7 @@ def read_frames(texts: Sequence[str], classes: Sequence[str], gsd_m: float) -> l
     """Reads frames given as `[NAME=]FOLDER[/PATTERN][:LABELS]@GSD[#CLASS,...]`.
 
     An example is `kit/MOS*@0.116#car,minibus`. Without classes of its own a set has `classes`.
-    LABELS (COCO file, folder of YOLO or DOTA text) is needed if they do not lie with the images.
+    LABELS (COCO file, folder of other labels) is needed if they do not lie with the images.
     Arguments of the same NAME are one set. Each argument counts as one place; in a set that
     `skyproof ground` cut, each source.
     """
