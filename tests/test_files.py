@@ -23,11 +23,13 @@ from skyproof.files import (
     new_file,
     refuse_existing,
     refuse_foreign,
+    refuse_links,
     write_beside,
     write_json,
     write_jsonl,
 )
 from skyproof.imagery.rasters import open_raster
+from skyproof.main import run
 from skyproof.pictures import open_picture
 from skyproof.storage import read_tensors
 
@@ -310,6 +312,29 @@ def test_a_link_in_place_of_a_leftover_is_not_written_through(tmp_path: Path) ->
     with pytest.raises(RunFolderError, match="tiles"), finished_folder(out / "tiles"):
         pytest.fail("the block must not run")
     assert victim.read_text() == "precious"
+
+
+def test_a_link_to_a_folder_elsewhere_is_not_written_through(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    elsewhere, out = tmp_path / "elsewhere", tmp_path / "out"
+    elsewhere.mkdir()
+    (out / "deep" / "own").mkdir(parents=True)
+    (out / "deep" / "inner").symlink_to(out / "deep" / "own")
+    (out / "file.json").symlink_to(tmp_path / "missing.json")
+    (tmp_path / "link").symlink_to(out)
+    refuse_links(out)
+    refuse_links(tmp_path / "link")
+    refuse_links(tmp_path / "missing")
+    (out / "deep" / "R-U").symlink_to(elsewhere)
+    for folder in (out, tmp_path / "link"):
+        with pytest.raises(RunFolderError, match=r"R-U is a link to a folder elsewhere.*--out\.$"):
+            refuse_links(folder)
+    # Camouflages are added to a folder that exists.
+    words = ["attack", "R-U", "--out", str(out / "deep"), "--device", "cpu"]
+    assert run(words) == 2
+    assert "R-U is a link to a folder elsewhere" in capsys.readouterr().err
+    assert list(elsewhere.iterdir()) == []
 
 
 def test_references_stay_inside_their_folder(tmp_path: Path) -> None:

@@ -208,6 +208,23 @@ def refuse_foreign(folder: Path, ours: Collection[str]) -> None:
         raise RunFolderError(f"{folder} holds something else ({foreign[0]}); choose another --out.")
 
 
+def refuse_links(folder: Path) -> None:
+    """Keeps a command from writing through links to folders elsewhere, in a folder that exists.
+
+    The folder itself may be a link: its user chose it.
+    """
+    root = Path(folder).resolve()
+    for place, folders, _ in os.walk(folder):
+        for name in folders:
+            path = Path(place) / name
+            # Links to files are replaced, not written through.
+            if path.is_symlink() and not path.resolve().is_relative_to(root):
+                raise RunFolderError(
+                    f"{path} is a link to a folder elsewhere, where results would overwrite files; "
+                    "put the folder itself there, or choose another --out."
+                )
+
+
 def refuse_special(
     path: Path,
     remedy: str,

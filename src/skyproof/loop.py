@@ -14,7 +14,7 @@ from torch import Tensor
 
 from skyproof.documents import check_document, read_lines
 from skyproof.errors import NotFiniteError, RunFolderError, StoredFileError
-from skyproof.files import refuse_foreign, to_json, write_jsonl
+from skyproof.files import refuse_foreign, refuse_links, to_json, write_jsonl
 from skyproof.ranges import WholeNumber
 from skyproof.storage import read_tensors, write_tensors
 
@@ -69,6 +69,7 @@ class Loop:
     def resume(self) -> None:
         """Returns to the last checkpoint, if there is one."""
         path = self.folder / CHECKPOINT
+        refuse_links(self.folder)
         if not path.exists():
             refuse_foreign(self.folder, {_ROWS})
             return

@@ -191,3 +191,12 @@ def test_time_left_by_effort(tmp_path: Path) -> None:
     assert time_left_s(steps, seconds, cores=2) == left_s / 2
     # A first short step that took ten times as long says little about the others.
     assert time_left_s(steps, {"kind/0": 10.0}) == pytest.approx(7_000, rel=0.2)
+
+
+def test_a_run_does_not_write_through_links(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    done(folder, [step(folder, "a")])
+    (tmp_path / "elsewhere").mkdir()
+    (folder / "scores").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(RunFolderError, match="scores is a link to a folder elsewhere"):
+        Run(folder, {}, [step(folder, "a")])

@@ -456,6 +456,11 @@ def test_rejected_tiles_are_dropped(tmp_path):
     assert len(json.loads((folder / "index.geojson").read_text())["features"]) == 3
     with pytest.raises(ConfigurationError, match="has no tile 'a'"):
         reject_tiles(folder, ["a"])
+    (tmp_path / "elsewhere").mkdir()
+    (folder / "linked").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(RunFolderError, match="linked is a link to a folder elsewhere"):
+        reject_tiles(folder, ["b"])
+    (folder / "linked").unlink()
     with pytest.raises(ConfigurationError, match="Every tile"):
         reject_tiles(folder, ["b", "d", "e"])
 

@@ -486,3 +486,11 @@ def test_damage_is_one_sentence_with_the_file(run_folder, file, content):
     assert path.name in said
     assert "\n" not in said
     assert len(said) < 700
+
+
+def test_a_report_does_not_write_through_links(run_folder, tmp_path):
+    elsewhere = tmp_path / "elsewhere"
+    (run_folder / "scores").rename(elsewhere)
+    (run_folder / "scores").symlink_to(elsewhere)
+    with pytest.raises(RunFolderError, match="scores is a link to a folder elsewhere"):
+        write_report(run_folder)

@@ -4,6 +4,7 @@ import csv
 
 import pytest
 
+from skyproof.errors import RunFolderError
 from skyproof.reproduction.report import write_reproduction_report
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.reproduction.tables import main_part
@@ -55,6 +56,15 @@ def test_a_run_that_measured_nothing_says_so(folder):
     assert not (folder / "tables" / "colours.png").exists()
     page = (folder / "tables" / "README.md").read_text()
     assert "colours were not measured in this run" in page
+
+
+def test_tables_are_not_written_through_a_link(folder, tmp_path_factory):
+    elsewhere = tmp_path_factory.mktemp("elsewhere")
+    (elsewhere / "README.md").write_text("precious")
+    (folder / "tables").symlink_to(elsewhere)
+    with pytest.raises(RunFolderError, match="tables is a link to a folder elsewhere"):
+        write_reproduction_report(folder)
+    assert [path.read_text() for path in elsewhere.iterdir()] == ["precious"]
 
 
 def test_looks_judge_nothing(folder):

@@ -19,7 +19,7 @@ from skyproof.assessment.environment import note_end, write_environment
 from skyproof.console import duration, say
 from skyproof.documents import read_document
 from skyproof.errors import RunFolderError
-from skyproof.files import Hold, alone, is_leftover, write_json
+from skyproof.files import Hold, alone, is_leftover, refuse_links, write_json
 from skyproof.layout import Layout
 from skyproof.results.stored import Timing, read_environment, read_timings
 
@@ -180,6 +180,7 @@ class Run:
             return None
         if not self.folder.is_dir():
             raise RunFolderError(f"{self.folder} is a file; choose another --out.")
+        refuse_links(self.folder)
         layout = self._layout
         entries = {entry.name for entry in self.folder.iterdir() if not is_leftover(entry)}
         if layout.config.name not in entries:

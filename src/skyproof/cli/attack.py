@@ -16,6 +16,7 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.settings import CamouflageSettings
 from skyproof.console import say
 from skyproof.errors import ConfigurationError
+from skyproof.files import refuse_links
 from skyproof.scenes.places import Places
 from skyproof.scenes.settings import SceneSettings
 
@@ -96,6 +97,7 @@ class Attack:
         from skyproof.attacks.making import draw_random_control
         from skyproof.camouflage.folder import load_camouflage
 
+        refuse_links(self.out)
         palette = self._palette(names)
         maker = None
         for name in (*drawn, *attacked):

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 
 from skyproof.errors import ConfigurationError, StoredFileError
-from skyproof.files import alone, file_digest
+from skyproof.files import alone, file_digest, refuse_links
 from skyproof.generator.adversarial import AdversarialGenerator
 from skyproof.generator.adversarial_training import learn_adversarially
 from skyproof.generator.fits import (
@@ -97,6 +97,7 @@ def learn_vehicles(
     text = json.dumps(identity, sort_keys=True)
     short = {"identity_sha256": hashlib.sha256(text.encode()).hexdigest()}
     with alone(folder):
+        refuse_links(folder)
         if (folder / "generator.json").exists():
             record = read_generator_record(folder)
             refuse_other(folder, {name: record.get(name) for name in short}, short, _OTHER)

@@ -14,7 +14,7 @@ from msgspec import Struct
 from skyproof import words
 from skyproof.documents import read_document
 from skyproof.errors import RunFolderError
-from skyproof.files import alone, inside, write_bytes
+from skyproof.files import alone, inside, refuse_links, write_bytes
 from skyproof.layout import Layout
 from skyproof.report.acceptance import read_requirement, rule, scored_suite, write_verdict
 from skyproof.report.advice import advice, hardening, limits, readings
@@ -90,6 +90,7 @@ def write_report(
     layout = Layout(results.folder)
     # No other report may be written here at the same time; a whole run has a lock of its own.
     with alone(layout.report):
+        refuse_links(layout.folder)
         _refuse_other_files(layout)
         asked = requirement or read_requirement(layout.verdict)
         return _write(results, layout, asked, sections)

@@ -7,7 +7,7 @@ from markupsafe import Markup
 
 from skyproof.console import say
 from skyproof.errors import RunFolderError
-from skyproof.files import alone, write_bytes
+from skyproof.files import alone, refuse_links, write_bytes
 from skyproof.report.baseline import precheck_part
 from skyproof.report.report import Section, templates, write_report
 from skyproof.reproduction.agreement import agreement_part
@@ -45,6 +45,7 @@ def write_reproduction_report(out: Path) -> None:
     results = Results.open(out)
     run = Reproduction(results)
     layout = run.layout
+    refuse_links(layout.folder)
     with alone(layout.tables):
         if layout.tables.exists() and not layout.results.exists():
             raise RunFolderError(

@@ -15,7 +15,7 @@ from skyproof.datasets.dataset import boxes_of
 from skyproof.datasets.pictures import Boxes, Pixels
 from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError, ImageryError, StoredFileError
-from skyproof.files import write_json
+from skyproof.files import refuse_links, write_json
 from skyproof.imagery.clearing.exemplar import fill_ground
 from skyproof.imagery.clearing.labelled import TileLabels, read_labels_of_tiles, removed_vehicles
 from skyproof.imagery.clearing.sheet import ContactSheet, SheetRow
@@ -297,6 +297,7 @@ def reject_tiles(folder: Path, ids: Sequence[str]) -> list[str]:
 
     An id that is not in the index, or all of them, are a ConfigurationError.
     """
+    refuse_links(folder)
     backgrounds = BackgroundSet.open(folder)
     tiles = backgrounds.all_tiles()
     unknown = sorted(set(ids) - {tile.id for tile in tiles})
