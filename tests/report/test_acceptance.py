@@ -244,6 +244,28 @@ def test_the_suite_is_named_only_where_all_of_it_was_scored(run_folder):
     assert (verdict["suite"], verdict["detectors"][0]["answer"]) == ("incomplete", "undecided")
 
 
+def test_baselines_stand_by_both_rules_on_the_first_page_and_in_the_verdict(run_folder):
+    place = run_folder / "scores" / "main" / "baselines.json"
+    rows = json.loads(place.read_text())["rows"]
+    lenient = {"ap_centre_in_box": 0.9, "recall_centre_in_box": 0.88}
+    write_json(place, {"rows": [row | lenient if row["real"] else row for row in rows]})
+    page, verdict = asked(run_folder, STRICT)
+    first = page[: page.index("What to do next")].replace("\u202f", " ")
+    assert (
+        "On KIT AIS Munich: AP 21 % and recall 21 % by centres within 1 m, by the lenient rule "
+        "AP 90 % and recall 88 %."
+    ) in first
+    by_dataset = {row["dataset"]: row for row in verdict["detectors"][0]["baselines"]}
+    assert by_dataset["KIT AIS Munich"] == {
+        **{"dataset": "KIT AIS Munich", "real": True, "vehicles": 140},
+        **{"ap_centre_1m": 0.21, "recall": 0.21, **lenient},
+    }
+    assert by_dataset["rendered test"]["ap_centre_in_box"] is None
+    full = page[page.index("On annotated images without camouflage") :]
+    assert "21.0 % 16.0 % 90.0 %" in full
+    assert "88.0 % 0.500 real frames" in full
+
+
 def test_camouflages_that_were_not_scored_have_no_digest(run_folder):
     write_json(run_folder / "camouflages" / "T-Ma" / "camouflage.json", {})
     _, verdict = asked(run_folder, STRICT)

@@ -80,6 +80,15 @@ def test_average_precision_has_one_limit_for_renders_and_one_for_photographs(ap,
     assert found.outcome == outcome
 
 
+def test_a_low_baseline_tells_what_is_found_by_the_lenient_rule():
+    low = replace(check(Interval(0.61, 0.5, 0.7), real=True), ap_centre_in_box=0.9)
+    (found,) = findings(record(sets=[replace(low, recall_centre_in_box=0.95)]))
+    assert found.outcome == "failed"
+    assert found.words.endswith(
+        "(limit 85\u202f%), by the lenient rule AP 90\u202f% and recall 95\u202f%"
+    )
+
+
 def test_the_worst_finding_is_the_surest_then_the_largest():
     rates = [
         rate(0.97, 0.90, 0.99),

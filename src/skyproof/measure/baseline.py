@@ -19,7 +19,7 @@ from skyproof.detectors.validation import (
 from skyproof.errors import ConfigurationError
 from skyproof.imagery.frames import BORDER_PX, read_frames_folder
 from skyproof.measure.views import SceneView, look
-from skyproof.results.result import MAIN_MATCH
+from skyproof.results.result import LENIENT_MATCH, MAIN_MATCH
 from skyproof.results.score_folder import Baseline, BestF1
 from skyproof.results.statistics.intervals import (
     Interval,
@@ -66,6 +66,7 @@ def _measure(detector: Detector, images: BaselineSet, view: SceneView, seed: int
     precision, recall = _threshold_intervals(
         centre, _numbers(clusters), detector.threshold, generator
     )
+    lenient = view.matched(detector.name, LENIENT_MATCH)
     return Baseline(
         detector=detector.name,
         dataset=images.name,
@@ -84,7 +85,14 @@ def _measure(detector: Detector, images: BaselineSet, view: SceneView, seed: int
         ),
         note=images.note,
         best=_best(centre),
+        ap_centre_in_box=average_precision(lenient),
+        recall_centre_in_box=_recall(lenient, detector.threshold),
     )
+
+
+def _recall(matches: MatchTable, threshold: float) -> float:
+    """The share of the vehicles that are found; nan without a vehicle."""
+    return float(matches.found_at(threshold).mean()) if matches.vehicles else float("nan")
 
 
 def _best(matches: MatchTable) -> BestF1 | None:

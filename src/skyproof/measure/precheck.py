@@ -242,7 +242,8 @@ def _told(title: str, finding: Finding, words: str) -> list[str]:
 
 def _set(check: Baseline) -> str:
     best = check.best
-    other = "" if best is None else f"; largest F1 at {best.threshold:.3f}"
+    other = f"; {check.leniently}" if check.leniently else ""
+    other += "" if best is None else f"; largest F1 at {best.threshold:.3f}"
     return (
         f"AP {_sure(check.ap_centre_1m)}, precision {_sure(check.precision)}, recall "
         f"{_sure(check.recall)}; {check.vehicles} vehicles, {check.clusters} "

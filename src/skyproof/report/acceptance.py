@@ -22,6 +22,7 @@ from skyproof.results.outcomes import OutcomeCounts
 from skyproof.results.precheck import findings, worst
 from skyproof.results.result import MAIN_MATCH
 from skyproof.results.results import RENDERER, Results
+from skyproof.results.rows_file import flat_row
 from skyproof.results.statistics.acceptance import Decision, Evidence, Requirement, decide
 from skyproof.results.statistics.planning import assume_from_pilot, chances_on_tiles, tiles_to_show
 from skyproof.scenes.scene import scenes_digest
@@ -35,6 +36,12 @@ from skyproof.words import (
 )
 
 _REMEDY = "move it away, or report again with --accept and --reject"
+
+# What the verdict says of each baseline, by the main and the lenient rule.
+_BASELINE = (
+    *("dataset", "real", "vehicles", "ap_centre_1m", "ap_centre_in_box"),
+    *("recall", "recall_centre_in_box"),
+)
 
 
 @dataclass(frozen=True)
@@ -178,6 +185,11 @@ def write_verdict(results: Results, acceptance: Acceptance, alarms: Sequence[str
                 "answer": ruling.answer,
                 "sentences": list(ruling.sentences),
                 "more_vehicles": ruling.more_vehicles,
+                "baselines": [
+                    {name: row[name] for name in _BASELINE}
+                    for row in map(flat_row, results.baselines)
+                    if row["detector"] == ruling.detector
+                ],
                 "weights_sha256": digests.get(ruling.detector, ""),
                 "attacks": {name: asdict(said) for name, said in ruling.attacks.items()},
                 "paint": None

@@ -169,6 +169,7 @@ class PrecheckState:
     name: str  # in words
     outcome: FindingOutcome | None  # None without a precheck
     words: str  # the worst finding, in a sentence
+    baselines: Sequence[str]  # AP and recall by both rules, in sentences
 
     @property
     def title(self) -> str:
@@ -203,7 +204,9 @@ def precheck_part(results: Results) -> PrecheckPart:
     """Reads the prechecks beside the detectors of a run."""
     records = results.prechecks
     found = {name: findings(records[name]) for name in results.detectors if name in records}
-    states = [_state(name, found.get(name)) for name in results.detectors]
+    states = [
+        _state(name, found.get(name), _by_both_rules(results, name)) for name in results.detectors
+    ]
     notes = _elsewhere({name: records[name] for name in found}, results)
     for name in results.detectors:
         if name in results.cards:
@@ -226,12 +229,26 @@ def precheck_part(results: Results) -> PrecheckPart:
     return PrecheckPart(states, notes, list(found), rows, strips)
 
 
-def _state(name: str, found: Sequence[Finding] | None) -> PrecheckState:
+def _state(name: str, found: Sequence[Finding] | None, baselines: Sequence[str]) -> PrecheckState:
     if found is None:
-        return PrecheckState(detector_name(name), None, "")
+        return PrecheckState(detector_name(name), None, "", baselines)
     last = worst(found)
     words = f"{last.words[0].upper()}{last.words[1:]}."
-    return PrecheckState(detector_name(name), last.outcome, words)
+    return PrecheckState(detector_name(name), last.outcome, words, baselines)
+
+
+def _by_both_rules(results: Results, detector: str) -> list[str]:
+    """Says what a detector finds on photographs, or on renders without any, by both rules.
+
+    A box that is more than 1 m off says little of whether the vehicle is seen.
+    """
+    known = [one for one in results.baselines if one.detector == detector and one.leniently]
+    shown = [one for one in known if one.real] or known
+    return [
+        f"On {one.dataset}: AP {percent(one.ap_centre_1m.estimate)} and recall "
+        f"{percent(one.recall.estimate)} by centres within 1 m, {one.leniently}."
+        for one in shown
+    ]
 
 
 def _elsewhere(records: Mapping[str, PrecheckRecord], results: Results) -> list[str]:

@@ -279,10 +279,11 @@ def rate_words(rate: Rate) -> str:
 def _baseline(baseline: Baseline) -> Finding:
     least = LEAST_AP_PHOTOGRAPHS if baseline.real else LEAST_AP_RENDERED
     ap = baseline.ap_centre_1m
+    lenient = f", {baseline.leniently}" if baseline.leniently else ""
     return Finding(
         f"baseline AP on {baseline.dataset}",
         _outcome(ap, least, sign=1),
-        f"its AP on {baseline.dataset} is {_sure(ap)} (limit {percent(least)})",
+        f"its AP on {baseline.dataset} is {_sure(ap)} (limit {percent(least)}){lenient}",
         _sure(ap),
         least - ap.estimate,
     )

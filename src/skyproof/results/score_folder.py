@@ -24,6 +24,7 @@ from skyproof.results.outcomes import ORIGINAL, OutcomeCounts, Series, read_coun
 from skyproof.results.rows_file import read_rows
 from skyproof.results.statistics.intervals import Interval
 from skyproof.results.stored import Label, Practicality, Text
+from skyproof.words import percent
 
 _REMEDY = "copy the whole folder again, or score again"
 # The largest loss of F1 with which a frozen threshold carries over.
@@ -47,8 +48,9 @@ class Baseline:
     """One detector on one set of images without camouflage; a row of `baselines.json`.
 
     Intervals are over the clusters ("places" or "images"); undefined numbers are nan. Precision,
-    recall and false alarms are at the frozen threshold by centre distance. A camera took `real`
-    images, and the note tells their source and processing.
+    recall and false alarms are at the frozen threshold by centre distance, AP and recall also by
+    the lenient rule, which older rows lack. A camera took `real` images, and the note tells their
+    source and processing.
     """
 
     detector: Name
@@ -66,6 +68,18 @@ class Baseline:
     false_alarms_per_km2: Annotated[float, Meta(ge=0, le=1e12)] = math.nan
     best: BestF1 | None = None
     note: Annotated[str, Meta(max_length=10_000)] = ""
+    ap_centre_in_box: Fraction = math.nan
+    recall_centre_in_box: Fraction = math.nan
+
+    @property
+    def leniently(self) -> str:
+        """AP and recall by the lenient rule in words; empty where they are not known."""
+        if math.isnan(self.ap_centre_in_box):
+            return ""
+        return (
+            f"by the lenient rule AP {percent(self.ap_centre_in_box)} and recall "
+            f"{percent(self.recall_centre_in_box)}"
+        )
 
     @property
     def carries_over(self) -> bool:
