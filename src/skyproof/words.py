@@ -68,6 +68,15 @@ def percent(fraction: float | int | None, digits: int = 0) -> str:
     return (text.lstrip("-") if float(text) == 0 else text.replace("-", "−")) + f"{_THIN}%"
 
 
+def hides(share: float | int | None) -> str:
+    """What a camouflage does to vehicles, by the share that it hides: "hides 48 %".
+
+    Below zero: "is found 53 % more often".
+    """
+    shown = percent(share)
+    return f"is found {shown[1:]} more often" if shown.startswith("−") else f"hides {shown}"
+
+
 def interval(low: float | int | None, high: float | int | None) -> str:
     """An interval of fractions, "79 to 88 %"; a dash where undefined."""
     if low is None or high is None or low != low:

@@ -185,6 +185,14 @@ def test_a_paint_on_other_scenes_rejects_nothing(run_folder):
         assert [each["answer"] for each in verdict["detectors"]] == [answer] * 2
 
 
+def test_a_paint_that_hides_some_and_shows_as_many_rejects_nothing(run_folder):
+    """A threshold at the edge loses and gains vehicles with any change."""
+    change_tiles(run_folder, keep)
+    recheck(run_folder, {}, tiles=20, found_instead=0.8)
+    _, verdict = asked(run_folder, STRICT)
+    assert [each["answer"] for each in verdict["detectors"]] == ["accepted", "accepted"]
+
+
 def test_attacks_reject_whom_a_harmless_paint_made_fail(run_folder):
     recheck(run_folder, {YELLOW: Interval(0.1, 0.06, 0.2)}, tiles=20)
     page, verdict = asked(run_folder, STRICT)

@@ -17,11 +17,13 @@ import pytest
 from skyproof.errors import RunFolderError, StoredFileError
 from skyproof.files import alone, write_json
 from skyproof.report.answer import answer
+from skyproof.report.baseline import PrecheckPart
 from skyproof.report.figures import condition_figure
+from skyproof.report.opening import opening
 from skyproof.report.report import write_report
 from skyproof.results.conditions import Bin, Panel
 from skyproof.results.statistics.intervals import Interval
-from skyproof.words import interval, number, percent, probability
+from skyproof.words import hides, interval, number, percent, probability
 from tests.report.fabricate import fabricate
 from tests.results.rows import beside, made_row
 
@@ -411,7 +413,20 @@ def test_a_bin_without_an_estimate_is_drawn_empty():
     assert condition_figure([panel]).startswith("<svg")
 
 
+def test_no_attack_hides_a_negative_share():
+    row = result(Interval(-0.53, -0.6, -0.4))
+    first = opening([row], None, PrecheckPart([], [], [], [], []), [], hardened=False)
+    assert first.figure == "0\u202f%"
+    assert first.sentence.startswith("No attack hides vehicles from RetinaNet: ")
+    assert first.sentence.endswith("(T-U) is found 53\u202f% more often.")
+    lenient = dataclasses.replace(row, match="centre_in_box")
+    assert "it is found 53\u202f% more often (95" in " ".join(answer([row], lenient))
+
+
 def test_numbers_as_words():
+    assert hides(0.48) == "hides 48\u202f%"
+    assert hides(-0.004) == "hides 0\u202f%"
+    assert hides(-0.53) == "is found 53\u202f% more often"
     assert percent(0.845, 1) == "84.5\u202f%"
     assert percent(-0.001) == "0\u202f%"
     assert percent(-0.12) == "−12\u202f%"

@@ -13,7 +13,7 @@ from skyproof.documents import read_document
 from skyproof.files import write_json
 from skyproof.layout import Layout
 from skyproof.results.result import LENIENT_MATCH, MAIN_MATCH
-from skyproof.words import detector_name, interval, percent
+from skyproof.words import detector_name, hides, interval, percent
 
 
 class _Answer(Struct, frozen=True):
@@ -69,7 +69,7 @@ def say_answers(layout: Layout, camouflages: Collection[str]) -> None:
         where = _where(row.renderer)
         half = lenient[place].easr if place in lenient else None
         say(
-            f"  {detector_name(row.detector):<12} {row.camouflage} hides {percent(row.easr)}"
+            f"  {detector_name(row.detector):<12} {row.camouflage} {hides(row.easr)}"
             f"{where} (95 % interval {interval(row.easr_low, row.easr_high)}), "
             f"net of random controls {percent(row.net_easr)}"
             + ("" if half is None else f", by the lenient rule {percent(half)}")
@@ -114,7 +114,7 @@ def say_expected(layout: Layout, suite: Suite) -> None:
         )
         if weaker:
             say(
-                f"  WEAKER THAN EXPECTED: {row.camouflage} hides {percent(row.easr)} from "
+                f"  WEAKER THAN EXPECTED: {row.camouflage} {hides(row.easr)} from "
                 f"{detector_name(row.detector)} here, and {percent(expected.easr)} (95 % interval "
                 f"{interval(expected.low, expected.high)}) on the suite's own machine. Find the "
                 "reason before you trust a verdict from this machine."

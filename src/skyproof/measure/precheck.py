@@ -47,7 +47,7 @@ from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.scene import Scene, scenes_digest
 from skyproof.seeds import numpy_generator
 from skyproof.vehicles.fleet import Fleet
-from skyproof.words import detector_name, interval, percent
+from skyproof.words import detector_name, hides, interval, percent
 
 BLURS_PX = (0.4, 0.7, 1.0, 1.4)
 """From the sharpest to the softest aerial photographs that we know, in pixels (sigma)."""
@@ -255,7 +255,11 @@ def _changes(finding: Finding) -> str:
     rates = finding.rates
     beyond = [rate for rate in rates if rate.easr.estimate > LARGEST_EASR]
     shown = rates if len(rates) <= _FEW else (beyond or rates[:1])[:_WORST]
-    words = ", ".join(f"{rate_words(rate)} {_sure(rate.easr)}" for rate in shown)
+    words = ", ".join(
+        f"{rate_words(rate)} {hides(rate.easr.estimate)} "
+        f"({interval(rate.easr.low, rate.easr.high)})"
+        for rate in shown
+    )
     return f"{len(beyond)} of {len(rates)} hide more than {percent(LARGEST_EASR)}: {words}"
 
 

@@ -127,9 +127,11 @@ def _ruled(name: str, results: Results, requirement: Requirement) -> Ruling:
     if rendered in failed:
         return _no_verdict(name, f"it failed the precheck: {rendered.words}")
     scenes = results.test_scenes
-    paints = precheck.paints() if not scenes or precheck.was_made_on(scenes) else {}
-    if attacks or paints:
-        decision = decide(attacks, requirement, paints)
+    here = not scenes or precheck.was_made_on(scenes)
+    tried = precheck.paints_tried if here else 0
+    if attacks or tried:
+        paints = precheck.failed_paints() if tried else {}
+        decision = decide(attacks, requirement, paints, paints_tried=tried)
         if decision.answer == "rejected" or not failed:
             return _ruling(name, decision, results, requirement)
     return _no_verdict(name, f"it failed the precheck: {worst(found).words}")

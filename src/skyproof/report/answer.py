@@ -9,7 +9,7 @@ from skyproof.results.result import MEAN, Contrast, Result
 from skyproof.results.results import RENDERER, RendererChange, Results
 from skyproof.results.statistics.intervals import Interval
 from skyproof.results.worst import WorstCase
-from skyproof.words import detector_name, interval, percent, points, renderer_name
+from skyproof.words import detector_name, hides, interval, percent, points, renderer_name
 
 _THIN = "\u202f"
 _WORTH_SAYING = 0.05
@@ -56,8 +56,8 @@ def answer(rows: Sequence[Result], lenient: Result | None = None) -> list[str]:
 def _leniently(row: Result, lenient: Result) -> str:
     """Says what is hidden by the lenient rule, which matters for counting vehicles."""
     said = (
-        "By the lenient rule, which accepts a detection anywhere in the vehicle’s box, it hides "
-        f"{percent(lenient.easr.estimate)} ({_sure(lenient.easr)})"
+        "By the lenient rule, which accepts a detection anywhere in the vehicle’s box, it "
+        f"{hides(lenient.easr.estimate)} ({_sure(lenient.easr)})"
     )
     beside = row.easr.estimate - lenient.easr.estimate
     if not beside >= _WORTH_SAYING:
@@ -115,14 +115,14 @@ def _more(beside: Contrast, control: str) -> str:
         for value in (beside.net.estimate, beside.net.low, beside.net.high)
     )
     sure = f"95{_THIN}% interval {low} to {high}"
-    hides = f"{control} ({percent(beside.easr)})"
+    other = f"{control} ({percent(beside.easr)})"
     if math.isnan(beside.net.low):
-        return f"It hides {estimate} points more than {hides}. Too few tiles for an interval."
+        return f"It hides {estimate} points more than {other}. Too few tiles for an interval."
     if beside.net.low > 0:
-        return f"It hides {estimate} points more ({sure}) than {hides}."
+        return f"It hides {estimate} points more ({sure}) than {other}."
     if beside.net.high < 0:
-        return f"It hides less than {hides}: {estimate} points ({sure})."
-    return f"The difference from {hides} is not significant: {estimate} points ({sure})."
+        return f"It hides less than {other}: {estimate} points ({sure})."
+    return f"The difference from {other} is not significant: {estimate} points ({sure})."
 
 
 def _how(control: CamouflageName) -> str:

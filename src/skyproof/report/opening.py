@@ -10,7 +10,7 @@ from skyproof.report.acceptance import Acceptance, Ruling
 from skyproof.report.baseline import BaselineRow, PrecheckPart
 from skyproof.results.result import MEAN, Result
 from skyproof.results.statistics.intervals import Interval
-from skyproof.words import detector_name, interval, listed, percent
+from skyproof.words import detector_name, hides, interval, listed, percent
 
 _MOST_STEPS = 3
 _SEVERITY = ("accepted", "undecided", "not applicable", "rejected")
@@ -44,14 +44,19 @@ def opening(
     if row is None:
         return _baseline(baselines, steps)
     whose = "the detectors" if row.detector == MEAN else detector_name(row.detector)
-    random = "" if row.random is None else f" Random controls hide {percent(row.random.easr)}."
+    random = "" if row.random is None else f" A random control {hides(row.random.easr)} on average."
+    attack = f"{row.camouflage.in_words} ({row.camouflage})"
+    sentence = (
+        f"of the vehicles that {whose} found without camouflage are missed with {attack}.{random}"
+    )
+    if row.easr.estimate < 0:
+        sentence = f"No attack hides vehicles from {whose}: {attack} {hides(row.easr.estimate)}."
     return Opening(
         "neutral",
         "Hidden by the strongest attack",
-        percent(row.easr.estimate),
+        percent(max(row.easr.estimate, 0.0)),
         _sure(row.easr),
-        f"of the vehicles that {whose} found without camouflage are missed with "
-        f"{row.camouflage.in_words} ({row.camouflage}).{random}",
+        sentence,
         steps,
     )
 

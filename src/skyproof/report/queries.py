@@ -13,7 +13,7 @@ from skyproof.results.result import LENIENT_MATCH
 from skyproof.results.results import Results
 from skyproof.results.statistics.contrasts import SEEDS
 from skyproof.results.statistics.intervals import Interval
-from skyproof.words import interval, percent, points
+from skyproof.words import hides, interval, points
 
 _QUANTILE = 1.96
 _KEPT = re.compile(rf"{QUERIED}(?P<images>\d+)")
@@ -126,8 +126,8 @@ def _more(results: Results, row: QueryResult) -> tuple[str, bool] | None:
     if more is None or not more.low > 0:
         return None
     told = (
-        f"{row.name} hides {percent(row.gradients.estimate)} by gradients and "
-        f"{percent(row.queried.estimate)} by queries: {points(more.estimate)} points (95 % "
+        f"{row.name} {hides(row.gradients.estimate)} by gradients and "
+        f"{hides(row.queried.estimate)} by queries: {points(more.estimate)} points (95 % "
         f"interval {interval(more.low, more.high)})."
     )
     # Either attack is one run; another start of it would have ended elsewhere.

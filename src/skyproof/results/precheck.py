@@ -24,7 +24,7 @@ from skyproof.results.rows_file import flat_row, row_form, row_of
 from skyproof.results.score_folder import Baseline
 from skyproof.results.statistics.intervals import Interval
 from skyproof.scenes.scene import Scene, scenes_digest
-from skyproof.words import detector_name, interval, percent
+from skyproof.words import detector_name, hides, interval, percent
 
 PRECHECK_FILE = "precheck.json"
 
@@ -140,13 +140,21 @@ class PrecheckRecord:
         """The rates of one kind of change."""
         return [rate for rate in self.rates if rate.kind == kind]
 
-    def paints(self) -> dict[str, tuple[Int[np.ndarray, " C"], Int[np.ndarray, " C"]]]:
-        """Vehicles found before and lost per tile, by plain paint in words; older records: none."""
+    @property
+    def paints_tried(self) -> int:
+        """The number of plain paints that were counted by tile; 0 in an older record."""
+        return sum(rate.kind in PAINTED and bool(rate.lost_by_tile) for rate in self.rates)
+
+    def failed_paints(self) -> dict[str, tuple[Int[np.ndarray, " C"], Int[np.ndarray, " C"]]]:
+        """Vehicles found before and lost per tile, of each paint that failed alone, in words.
+
+        A paint with which others are found instead loses vehicles too, and does not fail.
+        """
         found = np.array(self.found_by_tile, dtype=np.int64)
         return {
             f"{rate_words(rate)} {PAINTED[rate.kind]}": (found, np.array(rate.lost_by_tile))
             for rate in self.rates
-            if rate.kind in PAINTED and rate.lost_by_tile
+            if rate.kind in PAINTED and rate.lost_by_tile and rate_outcome(rate) == "failed"
         }
 
     def was_made_on(self, scenes: Sequence[Scene]) -> bool:
@@ -295,13 +303,14 @@ def _changed(rates: Sequence[Rate], kind: Kind) -> Finding:
     ordered = sorted(rates, key=lambda rate: (-_SEVERITY[rate_outcome(rate)], -rate.easr.estimate))
     largest = ordered[0]
     beyond = [rate for rate in rates if rate.easr.estimate > LARGEST_EASR]
-    hides = f"hides {_sure(largest.easr)}"
+    limits = f" ({interval(largest.easr.low, largest.easr.high)})"
+    done = hides(largest.easr.estimate) + ("" if math.isnan(largest.easr.low) else limits)
     if not beyond:
-        words = f"of {len(rates)} {many} the worst, {rate_words(largest)}, {hides}"
+        words = f"of {len(rates)} {many} the worst, {rate_words(largest)}, {done}"
     else:
         words = (
             f"{len(beyond)} of {len(rates)} {many} hide{'s' if len(beyond) == 1 else ''} more than "
-            f"{percent(LARGEST_EASR)}; the worst, {rate_words(largest)}, {hides}"
+            f"{percent(LARGEST_EASR)}; the worst, {rate_words(largest)}, {done}"
         )
     excess = largest.easr.estimate - LARGEST_EASR
     figure = f"{rate_words(largest)} {_sure(largest.easr)}"

@@ -112,25 +112,36 @@ class Decision:
     paint: tuple[str, Evidence] | None = None
 
 
-def decide(attacks: Counted, requirement: Requirement, paints: Counted | None = None) -> Decision:
+def decide(
+    attacks: Counted,
+    requirement: Requirement,
+    paints: Counted | None = None,
+    *,
+    paints_tried: int = 0,
+) -> Decision:
     """Decides from vehicles found before and lost per tile, by attack; tiles without any pass.
 
-    Without attacks, as before they were made, the `paints` of the precheck may reject.
+    Without attacks, as before they were made, `paints` of the precheck may reject: those that may
+    matter of all that were tried.
     """
-    every = {**attacks, **(paints or {})}
-    if not every or not all(int(found.sum()) for found, _ in every.values()):
+    paints = paints or {}
+    every = {**attacks, **paints}
+    nothing = not attacks and not paints_tried
+    if nothing or not all(int(found.sum()) for found, _ in every.values()):
         raise ConfigurationError(
             "A verdict expects at least one attack and vehicles that are found without it, got "
             "none; look at the detector's precheck first."
         )
-    paint = _rejecting_paint(paints, requirement) if paints else None
-    decision = _by_attacks(attacks, requirement, 1 - _RISK_OF_PAINTS if paints else 1.0)
+    paint = _rejecting_paint(paints, requirement, paints_tried) if paints else None
+    decision = _by_attacks(attacks, requirement, 1 - _RISK_OF_PAINTS if paints_tried else 1.0)
     return decision if paint is None else Decision("rejected", 0, decision.attacks, paint)
 
 
-def _rejecting_paint(paints: Counted, requirement: Requirement) -> tuple[str, Evidence] | None:
+def _rejecting_paint(
+    paints: Counted, requirement: Requirement, tried: int
+) -> tuple[str, Evidence] | None:
     """Gives the paint with most evidence for rejection, if that is enough."""
-    part = _RISK_OF_PAINTS / len(paints)
+    part = _RISK_OF_PAINTS / tried
     shares = {name: _shares(*counted) for name, counted in paints.items()}
     against = {name: float(evidence_above(s, requirement.accept)) for name, s in shares.items()}
     name = max(against, key=lambda each: (against[each], shares[each].mean()))
