@@ -155,6 +155,13 @@ def test_deep_images_are_refused(tmp_path):
         _read(folder)
 
 
+def test_black_and_white_images_are_refused(tmp_path):
+    folder = _folder(tmp_path, "")
+    Image.fromarray(np.eye(100, 200) > 0).save(folder / "one.png")
+    with pytest.raises(ImageryError, match=r"one\.png holds 1-bit values"):
+        _read(folder)
+
+
 @pytest.mark.parametrize(
     ("labels", "names", "options", "message"),
     [

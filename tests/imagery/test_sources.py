@@ -167,15 +167,25 @@ def test_the_edge_of_what_is_empty_looks_as_beside_it(tmp_path, nodata, source_g
     assert colours == {(80, 90, 100)}
 
 
-@pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
-def test_what_is_no_number_is_empty(tmp_path, wrong):
-    ramp = np.tile(np.linspace(1000, 3000, 200, dtype=np.float32), (200, 1))
+@pytest.mark.parametrize(
+    ("wrong", "depth"),
+    [
+        *(
+            (one, "float32")
+            for one in (np.nan, np.inf, -np.inf, -9999, -3.4028235e38, 3.4028235e38)
+        ),
+        *((one, "int16") for one in (-9999, -32768)),
+    ],
+)
+def test_what_is_no_number_is_empty(tmp_path, wrong, depth):
+    ramp = np.tile(np.linspace(1000, 3000, 200).astype(depth), (200, 1))
     array = np.stack([ramp] * 3)
     # A whole corner, one band of a speck, and nothing that says that it is no data.
     array[:, :64, :64] = wrong
     array[1, 100:102, 100:102] = wrong
     write_image(tmp_path / "a.tif", array, **UTM)
     backgrounds, record = tile([tmp_path / "a.tif"], tmp_path / "set")
+    assert any("undeclared fill values" in note for note in record.notes)
     assert record.empty == 1
     assert (0, 0) not in {one.offset_px for one in all_tiles(backgrounds)}
     low, high = record.sources[0]["value_range"]
@@ -247,6 +257,14 @@ def _palette(folder):
     Image.fromarray(noise(200, 200, 1)[0]).convert("P").save(folder / "x.png")
 
 
+def _two_colours(folder):
+    Image.fromarray(noise(200, 200, 1)[0] > 128).save(folder / "x.tif", compression="group4")
+
+
+def _two_values(folder):
+    Image.fromarray(noise(200, 200, 1)[0] > 128).save(folder / "x.png")
+
+
 def _alpha_alone(folder):
     write_image(folder / "x.tif", noise(200, 200, 1), colours=(ALPHA,), **UTM)
 
@@ -308,6 +326,8 @@ TURNED = {"crs": "EPSG:32633", "transform": Affine.rotation(45) * Affine.scale(0
         (_hollow, {}, "No tile of 8.0 m"),
         (_hollow_deep, {}, "holds no valid pixel"),
         (_palette, {"source_gsd_m": 0.125}, "colour palette"),
+        (_two_colours, {"source_gsd_m": 0.125}, "holds 1-bit values"),
+        (_two_values, {"source_gsd_m": 0.125}, "holds 1-bit values"),
         (_alpha_alone, {}, "alpha band alone"),
         (_complex, {}, "complex values"),
         (_zero_pixels, {}, "pixel size of zero"),

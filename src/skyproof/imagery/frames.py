@@ -146,6 +146,8 @@ def _resized(
 
 def _size_px(path: Path) -> tuple[int, int]:
     with open_picture(path, _REMEDY, error=ImageryError) as picture:
+        if picture.mode == "1":
+            raise ImageryError(f"{path} holds 1-bit values; give photographs of 8 bits.")
         if picture.mode[0] in "IF":
             raise ImageryError(
                 f"{path} has more than 8 bits per pixel; convert it (gdal_translate -ot Byte "

@@ -191,7 +191,8 @@ def measure_exposure(grounds: Iterable[UInt8[Tensor, "P 3"]]) -> Light:
     spread = pixels.max(1).astype(float) - pixels.min(1)
     grey = light[spread <= GREY_SATURATION * np.maximum(pixels.max(1), 1)]
     middle = np.median(grey, axis=0) if len(grey) >= FEWEST_GREY * len(pixels) else np.ones(3)
-    balance = middle / middle.mean()
+    # Ground that is mostly black tells no tint.
+    balance = middle / middle.mean() if middle.any() else np.ones(3)
     black = np.clip(np.quantile(light, DARK_SHARE, axis=0) - _DEEPEST * white, 0.0, 0.3)
     return Light(white=rounded_levels(white * balance), black=rounded_levels(black))
 

@@ -30,12 +30,15 @@ from skyproof.imagery.rasters import (
     upright_size_px,
 )
 from skyproof.imagery.settings import SourceSettings
+from skyproof.imagery.tiles.collars import Collar, corners_of, find_collars, is_lossy
 from skyproof.imagery.tiles.georeference import Georeference, read_georeference
 
 GDAL_CACHE_MB = 256
 OPEN_AT_ONCE = 8
 
 _PROBES, _PROBE_PX = 12, 128
+_BELOW_ALL, _ABOVE_ALL = -9000.0, 1e30
+"""Between the fill values of many writers (-9999, -32768, -3.4e38, 3.4e38, NaN) lie pictures."""
 _COLOURS = ("red", "green", "blue")
 _INFRARED = ("nir", "rededge", "swir", "mwir", "lwir")
 
@@ -50,6 +53,7 @@ class Source:
         bands: the bands, from 1, taken as red, green and blue.
         value_range: the values that become black and white; None if bytes are taken as they are.
         alpha_is_colour: whether its alpha band is no mask.
+        collars: its empty surroundings that it does not declare, in stored pixels.
     """
 
     path: Path
@@ -63,6 +67,7 @@ class Source:
     nodata: float | None
     licence: str | None
     notes: tuple[str, ...]
+    collars: tuple[Collar, ...] = ()
 
     @property
     def stored_size_px(self) -> tuple[int, int]:
@@ -162,6 +167,12 @@ def inspect_source(path: Path, settings: SourceSettings, reader: SourceReader) -
             raise ImageryError(
                 f"{path} holds several images or none; name one of its images in a .vrt file."
             )
+        bits = int(dataset.tags(1, ns="IMAGE_STRUCTURE").get("NBITS", 8))
+        if bits < 8:
+            raise ImageryError(
+                f"{path} holds {bits}-bit values but at least 8 bits show vehicles; give the "
+                "imagery that it was made from."
+            )
         if ColorInterp.palette in dataset.colorinterp:
             raise ImageryError(
                 f"{path} has a colour palette; convert it to RGB (gdal_translate -expand rgb)."
@@ -188,12 +199,24 @@ def inspect_source(path: Path, settings: SourceSettings, reader: SourceReader) -
             licence=dataset.tags().get("TIFFTAG_COPYRIGHT") or settings.licence,
             notes=tuple(notes),
         )
+        collars = find_collars(dataset, sorted({*bands}), _unmasked_corners(dataset, source))
+        notes += [f"its {one.colour} collar is left out" for one in collars]
+        source = dataclasses.replace(source, collars=collars, notes=tuple(notes))
         kinds = [dataset.dtypes[band - 1] for band in bands]
         if {*kinds} == {"uint8"}:
             return source
-        low, high = _value_range(dataset, source)
-    note = f"{kinds[0]} values from {low:.6g} to {high:.6g} become 0 to 255"
-    return dataclasses.replace(source, value_range=(low, high), notes=(*notes, note))
+        low, high = _value_range(dataset, source, notes)
+    notes.append(f"{kinds[0]} values from {low:.6g} to {high:.6g} become 0 to 255")
+    return dataclasses.replace(source, value_range=(low, high), notes=tuple(notes))
+
+
+def _unmasked_corners(dataset: DatasetReader, source: Source) -> list[Window]:
+    """Lists the corners of an image where its mask or nodata value leaves a collar in sight."""
+    flags = dataset.mask_flag_enums[source.bands[0] - 1]
+    if MaskFlags.nodata in flags and is_lossy(dataset):
+        # A few pixels of the collar have the value, and the others miss it by a little.
+        return [*corners_of(dataset)]
+    return [at for at in corners_of(dataset) if read_mask(dataset, source, at).any()]
 
 
 def inspect_sources(paths: Sequence[Path], settings: SourceSettings) -> list[Source]:
@@ -268,10 +291,11 @@ def _probes(dataset: DatasetReader) -> Iterator[Window]:
     yield from (Window(column, row, *size_px) for row in rows for column in columns)
 
 
-def _value_range(dataset: DatasetReader, source: Source) -> tuple[float, float]:
+def _value_range(dataset: DatasetReader, source: Source, notes: list[str]) -> tuple[float, float]:
     """Returns the 1st and 99th percentile of an image's valid values, all colours together."""
     bands = sorted({*source.bands})
     samples = []
+    empty = False
     whole = Window(0, 0, dataset.width, dataset.height)
     shrunken = min(dataset.height, 2048), min(dataset.width, 2048)
     # If all probes fall on empty ground, which is rare, the whole image has to be read.
@@ -281,18 +305,37 @@ def _value_range(dataset: DatasetReader, source: Source) -> tuple[float, float]:
             values = dataset.read(bands, window=window, out_shape=(len(bands), *size))
             values = values.astype(np.float32)
             valid = read_mask(dataset, source, window, size) > 0
-            samples.append(values[:, valid & np.isfinite(values).all(0)].ravel())
+            numbers = holds_data(values)
+            empty |= bool((valid & ~numbers).any())
+            samples.append(values[:, valid & numbers].ravel())
         if any(len(values) for values in samples):
+            if empty:
+                notes.append("its undeclared fill values (such as NaN or -9999) hold no data")
             low, high = np.percentile(np.concatenate(samples), [1, 99])
             return float(low), max(float(high), float(low) + 1e-6)
     raise ImageryError(f"{source.path} holds no valid pixel; leave it out.")
 
 
+def holds_data(values: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Tells which pixels of `[bands, H, W]` hold numbers of a picture rather than fill values."""
+    inside: NDArray[np.bool_] = (values > _BELOW_ALL) & (values < _ABOVE_ALL)
+    return inside.all(0)
+
+
 def read_mask(
     dataset: DatasetReader, source: Source, window: Window, shape: tuple[int, int] | None = None
 ) -> NDArray[np.uint8]:
-    """Reads 255 for pixels with data in `window`, else 0, by alpha, mask or nodata value."""
+    """Reads 255 for pixels with data in `window`, else 0: alpha, mask, nodata value, collars."""
     shape = shape or (int(window.height), int(window.width))
+    mask = _declared_mask(dataset, source, window, shape)
+    for collar in source.collars:
+        mask[collar.covers(window, shape)] = 0
+    return mask
+
+
+def _declared_mask(
+    dataset: DatasetReader, source: Source, window: Window, shape: tuple[int, int]
+) -> NDArray[np.uint8]:
     colours = sorted({*source.bands})
     flags = [*dataset.mask_flag_enums[source.bands[0] - 1]]
     if flags == [MaskFlags.all_valid] or (source.alpha_is_colour and MaskFlags.nodata not in flags):

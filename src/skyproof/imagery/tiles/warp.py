@@ -17,7 +17,7 @@ from scipy.ndimage import distance_transform_edt
 
 from skyproof.imagery.tiles.georeference import outline, to_reference_system
 from skyproof.imagery.tiles.grid import FULL_SHARE, Cell
-from skyproof.imagery.tiles.sources import Source, SourceReader, read_mask
+from skyproof.imagery.tiles.sources import Source, SourceReader, holds_data, read_mask
 
 SHRINKING_FROM = 1.1
 PIECE_PX = 2048
@@ -110,12 +110,11 @@ def _fill_piece(
     mask = read_mask(dataset, source, window)
     if not mask.any():
         return
-    # Values that are no numbers are no data.
     values = dataset.read(bands, window=window)
     if source.value_range is not None:
         low, high = source.value_range
         values = values.astype(np.float32)
-        mask = np.where(np.isfinite(values).all(0), mask, 0).astype(np.uint8)
+        mask = np.where(holds_data(values), mask, 0).astype(np.uint8)
         values = np.clip((values - low) * (255 / (high - low)), 0, 255)
     corner = Affine.translation(window.col_off, window.row_off)
     placement = {

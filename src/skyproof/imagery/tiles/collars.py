@@ -1,0 +1,133 @@
+"""Finds the empty collar around a warped or cut orthophoto that declares no nodata value."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from rasterio.enums import Compression
+from rasterio.io import DatasetReader
+from rasterio.windows import Window
+
+_CORNER_PX = 4
+_LEAST_SHARE = 0.002
+"""Of an image: less is a shadow or a roof at its corner."""
+_STRIP_PX = 2**22
+_VIEW_PX = 1024
+
+# Lossy compression spoils flat colours by a few values, and the pixels of a block that an edge
+# crosses by more. Blocks of colour are up to 16 px wide in JPEG.
+_LOSSY_VALUES = 3
+_LOSSY_PX = 16
+_LOSSY_DRIVERS = ("JPEG", "JP2OpenJPEG", "VRT")
+"""A VRT does not say how its images are compressed."""
+_LOSSY_COMPRESSIONS = (
+    Compression.jpeg,
+    Compression.jpeg2000,
+    Compression.webp,
+    Compression.lerc,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Collar:
+    """What lies between an image's border and the first pixel of another colour, along its axes.
+
+    Attributes:
+        columns: first and last column, `[2, H]`, that belong to the picture in each row; the first
+            lies behind the last where there is none.
+        rows: first and last row, `[2, W]`, in each column.
+    """
+
+    colour: str
+    columns: NDArray[np.int64]
+    rows: NDArray[np.int64]
+
+    def covers(self, window: Window, shape: tuple[int, int]) -> NDArray[np.bool_]:
+        """Tells which pixels of a window that is read in this shape belong to the collar."""
+        row = (window.row_off + _middles(window.height, shape[0]))[:, None]
+        column = (window.col_off + _middles(window.width, shape[1]))[None]
+        first_column, last_column = self.columns[:, row]
+        first_row, last_row = self.rows[:, column]
+        beside = (column < first_column) | (column > last_column)
+        return beside | (row < first_row) | (row > last_row)
+
+
+def _middles(length: float, count: int) -> NDArray[np.int64]:
+    return ((np.arange(count) + 0.5) * (length / count)).astype(np.int64)
+
+
+def is_lossy(dataset: DatasetReader) -> bool:
+    """Tells whether the stored values may differ from the picture's."""
+    return dataset.driver in _LOSSY_DRIVERS or dataset.compression in _LOSSY_COMPRESSIONS
+
+
+def corners_of(dataset: DatasetReader) -> Iterator[Window]:
+    """Yields small windows at the corners of an image."""
+    width, height = (min(_CORNER_PX, side) for side in (dataset.width, dataset.height))
+    # A photograph has a collar on all sides or on none, and its lower corners cost decoding it.
+    photograph = dataset.driver == "JPEG" and dataset.transform.is_identity
+    for top in (0,) if photograph else (0, dataset.height - height):
+        for left in (0, dataset.width - width):
+            yield Window(left, top, width, height)
+
+
+def find_collars(
+    dataset: DatasetReader, bands: Sequence[int], corners: Sequence[Window]
+) -> tuple[Collar, ...]:
+    """Finds collars of the darkest and of the brightest possible value in all bands.
+
+    An image has one if one of `corners` shows nothing else, and if it is no less than 0.2 % of the
+    image. Only such an image is read, strip by strip. Shadows and white roofs inside the image are
+    not reached from its border.
+    """
+    if not corners:
+        return ()
+    kind = np.dtype(dataset.dtypes[bands[0] - 1])
+    extremes = {"black": 0.0}
+    if kind.kind in "ui":
+        extremes["white"] = float(np.iinfo(kind).max)
+    tolerance = _LOSSY_VALUES if is_lossy(dataset) else 0
+    found = []
+    for colour, value in extremes.items():
+        if any(not _differs(dataset, bands, at, value, tolerance).any() for at in corners):
+            collar = _between(dataset, bands, colour, value, tolerance)
+            whole = Window(0, 0, dataset.width, dataset.height)
+            view = min(dataset.height, _VIEW_PX), min(dataset.width, _VIEW_PX)
+            if collar.covers(whole, view).mean() >= _LEAST_SHARE:
+                found.append(collar)
+    return tuple(found)
+
+
+def _differs(
+    dataset: DatasetReader, bands: Sequence[int], window: Window, value: float, tolerance: int
+) -> NDArray[np.bool_]:
+    values = dataset.read(list(bands), window=window).astype(np.float32)
+    return (np.abs(values - np.float32(value)) > tolerance).any(0)
+
+
+def _between(
+    dataset: DatasetReader, bands: Sequence[int], colour: str, value: float, tolerance: int
+) -> Collar:
+    width, height = dataset.width, dataset.height
+    columns = np.tile([[width], [-1]], (1, height))
+    rows = np.tile([[height], [-1]], (1, width))
+    step = max(1, _STRIP_PX // width)
+    for top in range(0, height, step):
+        count = min(step, height - top)
+        picture = _differs(dataset, bands, Window(0, top, width, count), value, tolerance)
+        some = picture.any(1)
+        strip = columns[:, top : top + count]
+        strip[0, some] = picture.argmax(1)[some]
+        strip[1, some] = width - 1 - picture[:, ::-1].argmax(1)[some]
+        some = picture.any(0)
+        rows[0, some] = np.minimum(rows[0], top + picture.argmax(0))[some]
+        rows[1, some] = top + count - 1 - picture[::-1].argmax(0)[some]
+    if tolerance:
+        # Pixels at the edge of the collar are spoilt, but none where there is no collar.
+        for lines, last in ((columns, width - 1), (rows, height - 1)):
+            lines[0][lines[0] > 0] += _LOSSY_PX
+            lines[1][lines[1] < last] -= _LOSSY_PX
+    return Collar(colour, columns, rows)
