@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from rasterio.enums import Compression
 from rasterio.io import DatasetReader
 from rasterio.windows import Window
+from scipy.ndimage import label
 
 _CORNER_PX = 4
 _LEAST_SHARE = 0.002
@@ -79,9 +80,9 @@ def find_collars(
 ) -> tuple[Collar, ...]:
     """Finds collars of the darkest and of the brightest possible value in all bands.
 
-    An image has one if one of `corners` shows nothing else, and if it is no less than 0.2 % of the
-    image. Only such an image is read, strip by strip. Shadows and white roofs inside the image are
-    not reached from its border.
+    An image has one if one of `corners` shows nothing else, and if it is there no less than 0.2 %
+    of the image. Only an image with such a corner is read, strip by strip. Shadows and white roofs
+    inside the image are not reached from its border.
     """
     if not corners:
         return ()
@@ -94,11 +95,18 @@ def find_collars(
     for colour, value in extremes.items():
         if any(not _differs(dataset, bands, at, value, tolerance).any() for at in corners):
             collar = _between(dataset, bands, colour, value, tolerance)
-            whole = Window(0, 0, dataset.width, dataset.height)
-            view = min(dataset.height, _VIEW_PX), min(dataset.width, _VIEW_PX)
-            if collar.covers(whole, view).mean() >= _LEAST_SHARE:
+            if _share_at_corners(collar, dataset) >= _LEAST_SHARE:
                 found.append(collar)
     return tuple(found)
+
+
+def _share_at_corners(collar: Collar, dataset: DatasetReader) -> float:
+    """Returns which share of an image the parts of a collar have that reach into its corners."""
+    shape = min(dataset.height, _VIEW_PX), min(dataset.width, _VIEW_PX)
+    covered = collar.covers(Window(0, 0, dataset.width, dataset.height), shape)
+    parts, _ = label(covered)
+    corners = parts[np.ix_((0, -1), (0, -1))]
+    return float(np.isin(parts, corners[corners > 0]).mean())
 
 
 def _differs(

@@ -318,8 +318,8 @@ def _value_range(dataset: DatasetReader, source: Source, notes: list[str]) -> tu
 
 def holds_data(values: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Tells which pixels of `[bands, H, W]` hold numbers of a picture rather than fill values."""
-    inside: NDArray[np.bool_] = (values > _BELOW_ALL) & (values < _ABOVE_ALL)
-    return inside.all(0)
+    inside = np.logical_and(values > _BELOW_ALL, values < _ABOVE_ALL)
+    return np.logical_and.reduce(inside, axis=0)
 
 
 def read_mask(
