@@ -102,7 +102,7 @@ def test_an_unknown_field_is_asked_for(tmp_path, wanted):
         read_labels(path, wanted)
     labels = read_labels(path, ["vehicle"])
     assert names(labels) == ["vehicle"] * 4
-    assert "all 4 objects count as vehicles" in labels.notes[0]
+    assert "every object counts as a vehicle" in labels.notes[0]
 
 
 def test_two_fields_that_hold_the_wanted_classes_for_different_objects_are_asked_about(tmp_path):
@@ -119,12 +119,12 @@ def test_a_field_that_is_equal_everywhere_is_no_class_and_is_told(tmp_path):
     labels = read_labels(path)
     assert labels.classes == ("vehicle",)
     assert labels.notes == (
-        f"no field of {path} is known to name classes, and all 4 objects count as vehicles "
+        f"no field of {path} names classes, as far as known: every object counts as a vehicle "
         "(fields: source, id)",
     )
     path = written(tmp_path / "y.geojson", objects(type=["Feature"] * 4, kind=KINDS))
     (note,) = read_labels(path).notes
-    assert note.endswith("from its field 'type': all objects are called 'Feature'")
+    assert note.endswith("from its field 'type': every object is called 'Feature'")
 
 
 def test_parts_of_an_object_count_each_and_are_told(tmp_path):
@@ -134,7 +134,7 @@ def test_parts_of_an_object_count_each_and_are_told(tmp_path):
     path = written(tmp_path / "x.geojson", document)
     labels = read_labels(path)
     assert len(labels.labels) == 2
-    assert labels.notes[0] == f"1 objects of {path} have several parts, which count as 2 labels"
+    assert labels.notes[0] == f"counted the 2 parts of 1 object of {path} as one label each"
 
 
 def layers(path, **frames):

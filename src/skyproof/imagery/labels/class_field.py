@@ -49,7 +49,8 @@ def name_classes(
     """Returns the class name of every object, and a note on every guess.
 
     The field is the one that the wanted classes name; else a usual one, or else one of text, that
-    holds all wanted classes; else a usual one, best one that differs among objects.
+    holds all wanted classes. Without any wanted it is a usual one that differs among objects, or
+    else any usual one.
 
     Raises:
         ImageryError: several fields may be meant, or an object has several values in it.
@@ -60,22 +61,23 @@ def name_classes(
         names = _names(records, [chosen], path)
         return [f"{chosen}={name}" if name else _UNNAMED for name in names], ()
     usual = usual_fields(fields)
-    texts = [field for field in fields if field not in usual and _is_telling_text(records, field)]
-    names_by = {field: _names(records, [field, *usual], path) for field in [*usual, *texts]}
+    names_by = {field: _names(records, [field, *usual], path) for field in usual}
+    holding = [field for field in usual if _holds(names_by[field], wanted)]
+    texts: list[str] = []
+    if not holding:
+        texts = [one for one in fields if one not in usual and _is_telling_text(records, one)]
     if wanted:
-        holding = [field for field in names_by if {*wanted} <= {*names_by[field]}]
-        holding = [field for field in holding if field in usual] or holding
+        names_by |= {field: _names(records, [field, *usual], path) for field in texts}
+        holding += [field for field in texts if _holds(names_by[field], wanted)]
         if len({tuple(name in wanted for name in names_by[field]) for field in holding}) > 1:
             raise _unclear(records, holding, path)
-    else:
-        holding = [field for field in usual if len({*names_by[field]}) > 1]
     field = next(iter([*holding, *usual]), None)
     if field is None and texts and {*wanted} != {_UNNAMED}:
-        raise _unclear(records, fields, path)
+        raise _unclear(records, [*dict.fromkeys([*texts, *fields])], path)
     if field is None:
         note = (
-            f"no field of {path} is known to name classes, and all {len(records)} objects count as "
-            f"vehicles (fields: {', '.join(fields)[:300]})"
+            f"no field of {path} names classes, as far as known: every object counts as a vehicle "
+            f"(fields: {', '.join(fields)[:300]})"
         )
         return [_UNNAMED] * len(records), (note,) if fields else ()
     names = [name or _UNNAMED for name in names_by[field]]
@@ -85,7 +87,12 @@ def name_classes(
         return names, ()
     note = f"the classes of {path} are read from its field {field!r}"
     note += f" and, where it is empty, from {rest}" if rest else ""
-    return names, (f"{note}: all objects are called {names[0]!r}" if alike else note,)
+    return names, (f"{note}: every object is called {names[0]!r}" if alike else note,)
+
+
+def _holds(names: Sequence[str], wanted: Sequence[str]) -> bool:
+    """Whether all wanted classes occur, or, without any wanted, several classes."""
+    return {*wanted} <= {*names} if wanted else len({*names}) > 1
 
 
 def _unclear(

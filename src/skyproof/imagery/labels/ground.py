@@ -15,6 +15,7 @@ from skyproof.imagery.labels.class_field import chosen_field, name_classes, usua
 from skyproof.imagery.labels.image_files import LARGEST_NUMBER
 from skyproof.imagery.labels.label import GroundLabels, Label, Point, outline_corners, twice_note
 from skyproof.imagery.settings import names_a_system
+from skyproof.words import counted
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
@@ -91,10 +92,8 @@ def read_ground_labels(
     single = tuple(dict.fromkeys(labels))
     several = [count for count in parts if count > 1]
     if several:
-        notes += (
-            f"{len(several)} objects of {path} have several parts, which count as {sum(several)} "
-            "labels",
-        )
+        objects = counted(len(several), "object")
+        notes += (f"counted the {sum(several)} parts of {objects} of {path} as one label each",)
     notes += guesses + twice_note(len(labels) - len(single), path)
     classes = dict.fromkeys(label.class_name for label in single)
     return GroundLabels(tuple(classes), single, crs, notes)

@@ -21,8 +21,8 @@ from skyproof.words import counted
 LARGEST_NUMBER = 1e9
 """No label lies farther away, in pixels, metres or degrees."""
 IMAGE_FOLDERS = ("images", "JPEGImages")
-LABEL_FOLDERS = ("labels", "labelTxt", "annotations", "Annotations")
-"""Names in place of those of images: by Ultralytics, DOTA, VisDrone and Pascal VOC."""
+LABEL_FOLDERS = ("labelTxt", "labels", "annotations", "Annotations")
+"""Names in place of those of images: by DOTA, Ultralytics, VisDrone and Pascal VOC."""
 _LARGEST_BYTES = 256 * 2**20
 
 

@@ -12,6 +12,7 @@ from skyproof.imagery.labels.image_files import (
     text_lines,
 )
 from skyproof.imagery.labels.label import ImageLabels, Label
+from skyproof.words import counted
 
 _DOTA_HEADERS = ("imagesource:", "gsd:")
 _VISDRONE_CLASSES = (
@@ -94,7 +95,7 @@ def read_visdrone_labels(folder: Path) -> ImageLabels:
                 flat += 1
             else:
                 images.add(text.stem, label, where)
-    notes = [f"{flat} boxes of {folder} have no width or no height and are left out"]
+    notes = [f"left out {counted(flat, 'box', 'boxes')} of {folder} without width or height"]
     return images.with_classes(_VISDRONE_CLASSES[1:], *notes[: bool(flat)])
 
 

@@ -8,7 +8,6 @@ import yaml
 
 from skyproof.errors import ImageryError
 from skyproof.imagery.labels.image_files import (
-    LABEL_FOLDERS,
     LabelledImages,
     damaged,
     finite_numbers,
@@ -21,6 +20,8 @@ from skyproof.imagery.labels.image_files import (
 )
 from skyproof.imagery.labels.label import ImageLabels, Label, outline_corners
 
+_LABELS = "labels"
+
 
 def class_file(folder: Path) -> Path | None:
     """Finds the class names of a YOLO folder: `data.yaml`, its one `.names` file, `classes.txt`."""
@@ -32,7 +33,7 @@ def class_file(folder: Path) -> Path | None:
             f"{folder} holds {len(names)} .names files but exactly one must list its classes; keep "
             "one."
         )
-    names += [folder / "classes.txt", folder / LABEL_FOLDERS[0] / "classes.txt"]
+    names += [folder / "classes.txt", folder / _LABELS / "classes.txt"]
     return next((file for file in names if file.is_file()), None)
 
 
@@ -57,7 +58,7 @@ def read_yolo_labels(folder: Path, names: Path | None) -> ImageLabels:
     """
     classes = None if names is None else _classes(names)
     images = LabelledImages(folder)
-    root = folder / LABEL_FOLDERS[0]
+    root = folder / _LABELS
     for text in label_texts(root if root.is_dir() else folder):
         image = image_of(text)
         if image is None:

@@ -248,7 +248,7 @@ def vehicle_classes(labels: Labels, settings: LabelSettings) -> tuple[str, ...]:
         return settings.classes
     if len(labels.classes) > 1:
         raise ImageryError(
-            f"{settings.path} names the classes {', '.join(labels.classes)}; say with "
+            f"{settings.path} names the classes {', '.join(labels.classes)[:500]}; say with "
             "--labels.classes which of them count as vehicles (small vehicles in the paper)."
         )
     return labels.classes
