@@ -182,6 +182,15 @@ def drop_empty_folder(path: Path) -> None:
         path.rmdir()
 
 
+def refuse_unwritable(place: Path) -> None:
+    """Refuses a place in which this process cannot make a file or folder; writes nothing."""
+    place = _place(place).resolve()
+    above = next(folder for folder in place.parents if os.path.lexists(folder))
+    code = errno.EACCES if above.is_dir() else errno.ENOTDIR
+    if not above.is_dir() or not os.access(above, os.W_OK | os.X_OK):
+        raise _unwritable(place, OSError(code, os.strerror(code), str(above)))
+
+
 def refuse_existing(path: Path) -> None:
     """Keeps a stage from overwriting an existing path."""
     # A broken link belongs to the user, too.

@@ -1,18 +1,22 @@
 """`assess` looks at imagery, labels and checkpoint before it makes anything."""
 
 import json
+import shutil
+from functools import partial
 
 import pytest
 import torch
 from PIL import Image
 from rasterio.transform import from_origin
 
+from skyproof.detectors.card import reference_folder
 from skyproof.errors import SkyproofError
 from skyproof.imagery.tiles import sources, tiling
 from skyproof.results.statistics.acceptance import fewest_tiles
 from tests.cli.conftest import Skyproof
 from tests.imagery.made import features, noise, shape, smooth_noise, write_image, written
 
+MOBILE = "fasterrcnn_mobilenet_v3_large_320_fpn"
 CAR_PX = (36, 15)
 """4.5 x 1.9 m at 12.5 cm per pixel."""
 
@@ -81,7 +85,7 @@ def checkpoint(tmp_path):
         weights=None, weights_backbone=None, num_classes=3
     )
     torch.save(network.state_dict(), tmp_path / "best.pt")
-    return [tmp_path / "best.pt", "--architecture", "fasterrcnn_mobilenet_v3_large_320_fpn"]
+    return [tmp_path / "best.pt", "--architecture", MOBILE]
 
 
 def test_a_class_that_the_checkpoint_lacks_is_seen_at_once(
@@ -148,3 +152,81 @@ def test_headers_of_images_are_read_once(call, monkeypatch, skyproof: Skyproof):
     monkeypatch.setattr(tiling, "assign_splits", stop)
     skyproof(*call, "--gsd", 0.125).refused("tiled")
     assert sorted(read) == ["0.png", "1.png", "2.png", "3.png"]
+
+
+def _detector(place, change):
+    """A copy of a reference detector with another byte in a file."""
+    shutil.copytree(reference_folder("retinanet"), place)
+    file = place / change
+    content = bytearray(file.read_bytes())
+    content[-1] ^= 1
+    file.write_bytes(content)
+    return place
+
+
+def _no_blender(place):
+    place.write_text("#!/bin/sh\necho I am no Blender\n")
+    place.chmod(0o755)
+    return place
+
+
+def _below_a_file(place):
+    place.write_text("precious")
+    return place / "run"
+
+
+MISTAKES = {
+    "class": (["best.pt", "--architecture", MOBILE, "--vehicle-classes", 9], "label numbers from"),
+    "architecture": (
+        ["best.pt", "--architecture", "fcos_resnet50_fpn", "--vehicle-classes", 1],
+        "give the --architecture they were trained as",
+    ),
+    "unknown architecture": (
+        ["best.pt", "--architecture", "fasterrcnn", "--vehicle-classes", 1],
+        "fasterrcnn_mobilenet_v3_large_320_fpn",
+    ),
+    "labels": (["retinanet", "--labels", "none.json"], "none.json is not there"),
+    "label class": (["retinanet", "--label-classes", "ship"], "no class 'ship'"),
+    "blender": (["retinanet", "--cycles", "--blender", _no_blender], "is neither Blender nor"),
+    "weights": ([partial(_detector, change="weights.safetensors")], "is not the file that"),
+    "card": ([partial(_detector, change="detector.json")], "detector.json"),
+    "out": (["retinanet", "--out", _below_a_file], "choose another --out"),
+    "device": (["retinanet", "--device", "cuda:9"], "--device cuda:9 is not usable here"),
+}
+
+
+@pytest.mark.parametrize("plan", [(), ("--plan",)], ids=["run", "plan"])
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_mistakes_of_options_show_before_the_imagery_is_cut(
+    mistake, plan, call, checkpoint, tmp_path, monkeypatch, skyproof: Skyproof
+):
+    def never(*args, **kwargs):
+        raise AssertionError("tiled")
+
+    monkeypatch.setattr("skyproof.cli.ground.Ground.run", never)
+    monkeypatch.chdir(tmp_path)
+    words, sentence = MISTAKES[mistake]
+    made = [word(tmp_path / "made") if callable(word) else word for word in words]
+    given = ["--gsd", 0.125, *call[2:], *plan]
+    # An option that is given twice has the last value.
+    skyproof("assess", made[0], *given, *made[1:]).refused(sentence)
+    assert not (tmp_path / "run").exists()
+
+
+def test_the_first_look_says_what_a_run_will_not(call, photographs, tmp_path, skyproof: Skyproof):
+    told = skyproof(*call, "--gsd", 0.125, "--plan").out
+    assert "without --accept and --reject, there is no verdict" in told
+    assert "AP on real vehicles" not in told
+    assert "steps will take about" in told.splitlines()[-1]
+    bare = ["assess", "retinanet", "--imagery", photographs, "--gsd", 0.125]
+    told = skyproof(*bare, "--out", tmp_path / "run", "--plan").out
+    assert "without --labels" in told
+    assert "AP on real vehicles is unknown" in told
+    coarse = tmp_path / "coarse"
+    shutil.copytree(reference_folder("retinanet"), coarse)
+    card = json.loads((coarse / "detector.json").read_text())
+    (coarse / "detector.json").write_text(json.dumps(card | {"gsd_m": 0.25}))
+    told = skyproof("assess", coarse, "--out", tmp_path / "run", "--plan").out
+    assert "the detector sees 0.25 m per pixel" in told
+    assert "query attacks are left out" in told
+    assert "says nothing about your sites" in told

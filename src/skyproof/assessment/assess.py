@@ -17,10 +17,10 @@ from skyproof.assessment.judging import (
     scored_names,
     still_open,
 )
-from skyproof.assessment.look import look_at, plan_words
+from skyproof.assessment.look import first_look, unsaid
 from skyproof.assessment.preparing import fleets, prepare, rendered, scenes
 from skyproof.assessment.run import SOURCES, Run, RunEnded, Step
-from skyproof.assessment.subject import REFERENCE_GSD_M, Subject, checked_object, subject_of
+from skyproof.assessment.subject import Subject, checked_object, subject_of
 from skyproof.assessment.suite import SUITE, read_suite
 from skyproof.console import say
 from skyproof.cycles.blender import find_blender
@@ -68,11 +68,10 @@ def assess_steps(its: Subject) -> Iterator[Step]:
     yield report(its, scores, requirement)
 
 
-@own_options()
-def run_assessment(
-    request: Request, suite_file: Path = SUITE, black_box: BlackBoxDetector | None = None
-) -> Path:
-    """Does all steps that are not finished, and prints the results; returns the report's path."""
+def _prepared(
+    request: Request, suite_file: Path, black_box: BlackBoxDetector | None
+) -> tuple[Subject, Run]:
+    """Checks a request as far as its options tell, and gives its run, which is not begun."""
     its = subject_of(request, read_suite(suite_file), black_box)
     what = "is this vehicle detector" if len(its.names) == 1 else "are these vehicle detectors"
     steps = [*assess_steps(its)]
@@ -88,15 +87,26 @@ def run_assessment(
         "suite": suite,
         SOURCES: dict(its.sources),
     }
+    return its, Run(request.out, config, steps)
+
+
+@own_options()
+def run_assessment(
+    request: Request, suite_file: Path = SUITE, black_box: BlackBoxDetector | None = None
+) -> Path:
+    """Does all steps that are not finished, and prints the results; returns the report's path."""
+    its, run = _prepared(request, suite_file, black_box)
     # Mistakes show before an hour's work, not after it.
-    run = Run(request.out, config, steps)
-    if request.cycles:
-        find_blender(request.blender)
-    _, seen = look_at(its) if not request.out.exists() else (0, [])
+    if not request.out.exists():
+        seen = first_look(its, run.steps)
+    else:
+        seen = [*unsaid(its)]
+        if request.cycles:
+            find_blender(request.blender)
     try:
         with run.begun(str(its.device)):
             say(f"skyproof, {', '.join(its.names)} on {its.device}, run folder {request.out}")
-            for sentence in (*seen, *_limits(its)):
+            for sentence in seen:
                 say(f"  note: {sentence}")
             run.do()
     except RunEnded as ended:
@@ -115,10 +125,9 @@ def run_assessment(
 
 @own_options()
 def plan_assessment(request: Request, suite_file: Path = SUITE) -> None:
-    """Prints what the imagery holds, the size of the test and the time; writes nothing."""
-    its = subject_of(request, read_suite(suite_file), None)
-    test_tiles, seen = look_at(its)
-    for line in (*seen, *plan_words(its, test_tiles, [*assess_steps(its)])):
+    """Prints the first look, with the size of the test and the time; writes nothing."""
+    its, run = _prepared(request, suite_file, None)
+    for line in first_look(its, run.steps):
         say(line)
 
 
@@ -214,21 +223,3 @@ def assess(
     )
     check_ranges(request)
     return run_assessment(request, black_box=black_box)
-
-
-def _limits(its: Subject) -> Iterator[str]:
-    """The limits of this run's results."""
-    if not its.request.imagery:
-        yield "without --imagery, ground is drawn, so the result says nothing about your sites"
-    elif not its.labelled:
-        yield (
-            "without --labels, the threshold is not chosen on photographs, only detected vehicles "
-            "are cleared, and the AP on real vehicles is unknown"
-        )
-    if not its.fits_reference:
-        yield (
-            f"the detector sees {its.gsd_m:g} m per pixel, and the reference detectors, which "
-            f"start query attacks, see {REFERENCE_GSD_M}: gradient masking is not tested"
-        )
-    elif len(its.names) > 1 and its.suite.compared:
-        yield "gradient masking is tested only if a detector is assessed alone"

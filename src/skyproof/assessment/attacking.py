@@ -19,7 +19,7 @@ from skyproof.console import progress_bar
 from skyproof.detectors.card import REFERENCE_DETECTORS
 from skyproof.randomness import generator_of
 
-_QUERY_S = 0.03
+_QUERY_S = 0.02
 """Estimated seconds of a query on one core."""
 
 

@@ -1,19 +1,24 @@
-"""The look at imagery, labels and checkpoint before any work, and the plan of a test."""
+"""The first look at imagery, labels and detectors before any work, and the plan of a test."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from statistics import median
 
 from skyproof.assessment.judging import refuse_few_tiles
 from skyproof.assessment.preparing import tiling_of
 from skyproof.assessment.run import Step
-from skyproof.assessment.subject import Subject
+from skyproof.assessment.subject import REFERENCE_GSD_M, Subject
 from skyproof.console import duration
-from skyproof.detectors.import_checkpoint import Checkpoint, read_blueprint
+from skyproof.cycles.blender import find_blender
+from skyproof.detectors.card import detector_folder
+from skyproof.detectors.import_checkpoint import Checkpoint, read_network
+from skyproof.detectors.loaded import load_detector
 from skyproof.errors import ImageryError, SkyproofError
+from skyproof.files import refuse_unwritable
 from skyproof.imagery.labels.files import read_labels
 from skyproof.imagery.labels.label import GroundLabels, Labels
 from skyproof.imagery.settings import LabelSettings
@@ -44,22 +49,27 @@ _EASR = 0.8
 _CORRELATION = 0.1
 """Assumed correlation of vehicles on one tile."""
 _HALF_WIDTH = 0.05
+_CLEAR_S = 0.6
+"""Estimated seconds on one core to clear a tile."""
 
 
-def look_at(its: Subject) -> tuple[int, list[str]]:
-    """Reads what imagery, labels and checkpoint say; gives the most test tiles, and sentences.
+def first_look(its: Subject, steps: Sequence[Step]) -> list[str]:
+    """Tells what imagery and labels hold, what the run will not tell, its test and its time.
 
     Raises:
-        SkyproofError: tells every mistake that shows.
+        SkyproofError: tells every mistake that shows in options and files.
     """
     request = its.request
     mistakes: list[SkyproofError] = []
     test_tiles, sentences = its.suite.tiles[3], list[str]()
     with _noted(mistakes):
-        if request.vehicle_classes and its.black_box is None:
-            kind = "torchvision" if request.architecture else "ultralytics"
-            place, classes = request.detectors[0], request.vehicle_classes
-            read_blueprint(Checkpoint(place, kind, classes, request.architecture), 1.0)
+        refuse_unwritable(request.out)
+    with _noted(mistakes):
+        if request.cycles:
+            find_blender(request.blender)
+    for place in () if its.black_box is not None else request.detectors:
+        with _noted(mistakes):
+            _look_at_detector(its, place)
     with _noted(mistakes):
         if request.imagery:
             test_tiles, sentences = _look_at_imagery(its, mistakes)
@@ -67,7 +77,40 @@ def look_at(its: Subject) -> tuple[int, list[str]]:
         raise mistakes[0]
     if mistakes:
         raise type(mistakes[0])(" ".join(map(str, mistakes)))
-    return test_tiles, sentences
+    return [*sentences, *unsaid(its), *_plan(its, test_tiles, steps)]
+
+
+def unsaid(its: Subject) -> Iterator[str]:
+    """What this run will not tell."""
+    request = its.request
+    if not request.imagery:
+        yield "without --imagery, ground is drawn, so the result says nothing about your sites"
+    elif not its.labelled:
+        yield (
+            "without --labels, the threshold is not chosen on photographs, only detected vehicles "
+            "are cleared, and the AP on real vehicles is unknown"
+        )
+    if request.imagery and request.requirement is None:
+        yield "without --accept and --reject, there is no verdict"
+    if not its.fits_reference:
+        yield (
+            f"the detector sees {its.gsd_m:g} m per pixel, and the reference detectors, which "
+            f"start query attacks, see {REFERENCE_GSD_M}: query attacks are left out, so gradient "
+            "masking is not tested"
+        )
+    elif len(its.names) > 1 and its.suite.compared:
+        yield "gradient masking is tested only if a detector is assessed alone"
+
+
+def _look_at_detector(its: Subject, place: Path) -> None:
+    """Loads a detector folder or a checkpoint, as steps will do after hours."""
+    request = its.request
+    if detector_folder(place).is_dir():
+        load_detector(place)
+        return
+    kind = "torchvision" if request.architecture else "ultralytics"
+    checkpoint = Checkpoint(place, kind, request.vehicle_classes, request.architecture)
+    read_network(checkpoint, 1.0, its.names[0])
 
 
 @contextmanager
@@ -172,7 +215,7 @@ def _lengths_m(
     return lengths_m, count
 
 
-def plan_words(its: Subject, tiles: int, steps: Sequence[Step]) -> Iterator[str]:
+def _plan(its: Subject, tiles: int, steps: Sequence[Step]) -> Iterator[str]:
     """Tells the size of a test on at most so many tiles, the size it needs, and the time."""
     scenes = its.suite.test_images
     # Scenes fall on tiles at random, so that some tiles are seen twice and some never.
@@ -182,23 +225,29 @@ def plan_words(its: Subject, tiles: int, steps: Sequence[Step]) -> Iterator[str]
     fleet = its.suite.vehicles[3]
     assumptions = Assumptions(_EASR, vehicles_per_tile=each, design_effect=effect, fleet=fleet)
     width = expected_half_width(shown, assumptions)
+    at_most = "at most " if its.request.imagery else ""
     yield (
-        f"Test: {scenes} scenes with about {_VEHICLES * scenes} vehicles on {shown} of "
-        f"{'at most ' if its.request.imagery else ''}{tiles} test tiles. The 95 % interval of an "
-        f"EASR of {percent(_EASR)} would be about ±{100 * width:.0f} percentage points."
+        f"{scenes} test scenes with about {_VEHICLES * scenes} vehicles will stand on {shown} of "
+        f"{at_most}{counted(tiles, 'test tile')}: the 95 % interval of an EASR of {percent(_EASR)} "
+        f"would be about ±{100 * width:.0f} percentage points"
     )
     needed = tiles_needed(_HALF_WIDTH, assumptions)
     if needed is not None:
-        yield f"For ±{100 * _HALF_WIDTH:.0f} points it takes about {needed:,} such tiles."
+        yield f"for ±{100 * _HALF_WIDTH:.0f} points it would take about {needed:,} such tiles"
     requirement = its.request.requirement
     if requirement is not None:
         fewest = fewest_tiles(requirement.reject, requirement.consumer_risk)
         decides = tiles_to_decide(requirement, assumptions)
         verdict = "enough" if shown >= fewest else "too few"
         yield (
-            f"Requirement: no verdict is possible on fewer than {fewest} tiles that scenes stand "
+            f"no verdict is possible on fewer than {fewest} tiles that scenes stand "
             f"on ({shown} are {verdict}), which takes about {tiles_to_show(fewest, scenes):,} "
-            f"test tiles. On about {decides:,}, nine of ten tests decide it."
+            f"test tiles; on about {decides:,}, nine of ten tests decide it"
         )
     effort_s = math.fsum(step.effort_s for step in steps)
-    yield f"Time: {len(steps)} steps, about {duration(effort_s)} on one CPU core."
+    if its.request.imagery:
+        effort_s += _CLEAR_S * tiles / tiling_of(its).shares[3]
+    yield (
+        f"{len(steps)} steps will take about {duration(effort_s)} on one CPU core with a small "
+        "detector, less on several or on a GPU"
+    )

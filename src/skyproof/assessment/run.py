@@ -27,14 +27,14 @@ from skyproof.results.stored import Timing, read_environment, read_timings
 _RECIPES = {"suite", "preset"}
 
 # Estimated seconds on one core: of a step before its work, for a vehicle, a random control, and
-# a million pixels, before one detector where there is one.
+# a million pixels, before one small detector where there is one.
 START_S = 5.0
 VEHICLE_S = 0.08
 CONTROL_S = 0.1
 GROUND_S = 2.6
-RENDER_S = {"torch": 3.2, "cycles": 30.0}
-DETECT_S = 3.0
-ATTACK_S = 4.0
+RENDER_S = {"torch": 0.7, "cycles": 30.0}
+DETECT_S = 0.4
+ATTACK_S = 2.7
 
 SOURCES = "sources_sha256"
 """Where a run's config keeps the digests of the user's files, by path."""

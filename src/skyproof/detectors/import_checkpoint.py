@@ -93,12 +93,7 @@ def import_detector(
             f"--gsd {gsd_m:g} is out of reason for images of {validation.gsd_m:g} m per pixel; "
             "give what the detector was made for."
         )
-    blueprint, state, origin = read_blueprint(checkpoint, scale)
-    try:
-        detector = ImportedDetector(name, blueprint)
-    except ConfigurationError as error:
-        raise ConfigurationError(f"{checkpoint.path} cannot be imported: {error}") from error
-    _load(detector, state, checkpoint)
+    detector, blueprint, origin = read_network(checkpoint, scale, name)
     detector.eval().requires_grad_(False).to(device)
     remedy = (
         "check --vehicle-classes, and say which metres per pixel it was made for (--gsd; "
@@ -116,6 +111,19 @@ def import_detector(
     with finished_folder(folder) as partial:
         save_detector(partial, detector, card)
     return card
+
+
+def read_network(
+    checkpoint: Checkpoint, scale: float, name: str
+) -> tuple[ImportedDetector, Blueprint, str]:
+    """Reads a checkpoint and loads its weights into its network; see `read_blueprint`."""
+    blueprint, state, origin = read_blueprint(checkpoint, scale)
+    try:
+        detector = ImportedDetector(name, blueprint)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{checkpoint.path} cannot be imported: {error}") from error
+    _load(detector, state, checkpoint)
+    return detector, blueprint, origin
 
 
 def read_blueprint(
