@@ -17,7 +17,7 @@ from skyproof.assessment.judging import (
     scored_names,
     still_open,
 )
-from skyproof.assessment.look import first_look, unsaid
+from skyproof.assessment.look import first_look, limits
 from skyproof.assessment.preparing import fleets, prepare, rendered, scenes
 from skyproof.assessment.run import SOURCES, Run, RunEnded, Step
 from skyproof.assessment.subject import Subject, checked_object, subject_of
@@ -100,7 +100,7 @@ def run_assessment(
     if not request.out.exists():
         seen = first_look(its, run.steps)
     else:
-        seen = [*unsaid(its)]
+        seen = [*limits(its)]
         if request.cycles:
             find_blender(request.blender)
     try:

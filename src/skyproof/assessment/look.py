@@ -54,7 +54,7 @@ _CLEAR_S = 0.6
 
 
 def first_look(its: Subject, steps: Sequence[Step]) -> list[str]:
-    """Tells what imagery and labels hold, what the run will not tell, its test and its time.
+    """Tells the content of imagery and labels, the limits of the results, the test and its time.
 
     Raises:
         SkyproofError: tells every mistake that shows in options and files.
@@ -77,11 +77,11 @@ def first_look(its: Subject, steps: Sequence[Step]) -> list[str]:
         raise mistakes[0]
     if mistakes:
         raise type(mistakes[0])(" ".join(map(str, mistakes)))
-    return [*sentences, *unsaid(its), *_plan(its, test_tiles, steps)]
+    return [*sentences, *limits(its), *_plan(its, test_tiles, steps)]
 
 
-def unsaid(its: Subject) -> Iterator[str]:
-    """What this run will not tell."""
+def limits(its: Subject) -> Iterator[str]:
+    """The limits of this run's results."""
     request = its.request
     if not request.imagery:
         yield "without --imagery, ground is drawn, so the result says nothing about your sites"
