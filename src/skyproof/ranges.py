@@ -34,6 +34,9 @@ Fraction = Annotated[float, Meta(ge=0, le=1)]
 Risk = Annotated[float, Meta(ge=1e-6, le=0.5)]
 """The accepted chance of a wrong answer."""
 
+Match = Literal["centre_1m", "iou_50", "centre_in_box"]
+"""A rule by which a detection matches a vehicle; see `match_detections`."""
+
 Metres = Annotated[float, Meta(ge=0, le=1e6)]
 """A length."""
 

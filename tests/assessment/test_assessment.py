@@ -113,6 +113,10 @@ def test_a_run_stops_where_no_verdict_is_possible_any_more(tmp_path):
     names = ids(subject(place, **ASKED))
     assert names.index("size/open") == names.index("check/detectors") + 1
     assert "size/open" not in ids(subject(place))
+    titles = {step.id: step.title for step in assess_steps(subject(place, **ASKED))}
+    assert titles["size/size"] == "count the test tiles"
+    assert titles["size/open"] == "judge the prechecks"
+    assert titles["attack/T-U"] == "attack T-U"
 
 
 def test_a_checkpoint_is_imported_on_the_labelled_tiles(file):

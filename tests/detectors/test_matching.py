@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import get_args
-
 import pytest
 import torch
 
-from skyproof.detectors.matching import Criterion, match_detections
+from skyproof.detectors.matching import match_detections
 from skyproof.errors import ConfigurationError
 from skyproof.results.outcomes import MATCHES
 
@@ -75,10 +73,6 @@ def test_half_a_vehicle_finds_it_by_the_lenient_rule_alone() -> None:
         at((54, 50)), torch.ones(1), at((50, 50), half=2), criterion="centre_in_box", gsd_m=0.125
     )
     assert matches.truth_of_detection.tolist() == [0]
-
-
-def test_results_name_the_rules_of_the_matcher() -> None:
-    assert get_args(Criterion) == MATCHES
 
 
 def test_ignore_regions_take_only_what_is_unmatched() -> None:

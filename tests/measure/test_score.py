@@ -1,6 +1,7 @@
 """Scenes to a score folder, with a detector whose answers are known."""
 
 import json
+from contextlib import contextmanager
 from dataclasses import replace
 
 import pytest
@@ -12,7 +13,7 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.answers import BlackBoxDetector
 from skyproof.detectors.card import DetectorCard
-from skyproof.detectors.detector import Detections
+from skyproof.detectors.detector import Detections, Detector
 from skyproof.detectors.matching import match_images
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.measure import views
@@ -21,6 +22,7 @@ from skyproof.measure.measure import measure
 from skyproof.measure.score import score
 from skyproof.measure.views import SceneChange, SceneRenderer
 from skyproof.render.frames import Frames
+from skyproof.report.report import write_report
 from skyproof.results.outcomes import MATCHES, Series, read_outcomes
 from skyproof.results.results import Results
 from skyproof.results.score_folder import ScoreFolder, merge_scores
@@ -135,6 +137,38 @@ def test_all_that_was_found_is_written(scored, tmp_path):
     results = Results.open(tmp_path / "scores")
     results.write()
     assert json.loads((tmp_path / "scores" / "results.json").read_text())["rows"] == rows
+
+
+class DayOrNight(Detector):
+    """Takes a bright vehicle for one, and a dark one for another class."""
+
+    def __init__(self):
+        self.set_card(DetectorCard("mine", threshold=0.6, gsd_m=0.125))
+        self.dark = False
+
+    def detect(self, images):
+        scores = [image.mean().reshape(1) for image in images]
+        return [Detections(BOX[None], 1 - one if self.dark else one) for one in scores]
+
+    @contextmanager
+    def of_other_classes(self):
+        self.dark = True
+        yield True
+        self.dark = False
+
+
+def test_vehicles_called_another_class_are_counted_apart_from_those_that_vanish(scored, tmp_path):
+    # Of four vehicles found before, one is called another class and one is nothing.
+    levels = {"T-U-0": [50, 127, 200, 200, 50], "R-U-0": [50, 50, 50, 50, 50]}
+    rows = scored([DayOrNight()], [200, 200, 200, 200, 50], levels)
+    known = {(row["camouflage"], row["match"]): row["called_another_class"] for row in rows}
+    assert known.pop(("T-U", "centre_in_box")) == 0.25
+    assert set(known.values()) == {None}
+    (baseline,) = Results.open(tmp_path / "scores").baselines
+    assert baseline.called_another_class == 0.2
+    assert baseline.leniently.endswith("recall 80\u202f%, called another class 20\u202f%")
+    page = write_report(tmp_path / "scores").read_text()
+    assert "On 25\u202f% of the vehicles found before only another class is detected." in page
 
 
 def test_outcomes_are_the_same_with_and_without_a_folder(tmp_path, make_scene, fleet):

@@ -173,6 +173,21 @@ def test_borderline_is_neither(run_folder):
     assert "may lose vehicles for the reason" not in lines
 
 
+def test_photographs_of_the_precheck_count_where_the_scores_have_none(run_folder):
+    """Else one part of the page denies what another tells."""
+    place = run_folder / "scores" / "main" / "baselines.json"
+    rows = json.loads(place.read_text())["rows"]
+    write_json(place, {"rows": [row for row in rows if not row["real"]]})
+    assert "not tested on real vehicles" in told(run_folder)
+    checked(run_folder, "retinanet", {})
+    lines = told(run_folder)
+    assert "not tested on real vehicles" not in lines
+    assert "they score an AP of 99 % (RetinaNet, 97 to 100 %) on KIT." in lines
+    assert "Measure the detectors on annotated photographs" not in lines
+    # Renders of both kinds stay apart.
+    assert "rendered scenes (rendered)" not in lines
+
+
 def test_a_paint_with_which_more_are_found_says_so(run_folder):
     checked(run_folder, "retinanet", {("paint_whole", "#ffff00"): Interval(-0.53, -0.9, -0.2)})
     told(run_folder)

@@ -56,7 +56,9 @@ def enough_ground(its: Subject, requirement: Requirement) -> Step:
         write_json(out, {"test_tiles": tiles, "fewest": needed})
 
     # Another requirement may be asked of a run that has ended.
-    return Step("size", "size", (out,), work, requirement, inputs=(scenes,), renewed=True)
+    words = "count the test tiles"
+    inputs = (scenes,)
+    return Step("size", "size", (out,), work, requirement, inputs, renewed=True, words=words)
 
 
 def precheck(its: Subject) -> Step:
@@ -114,7 +116,8 @@ def still_open(its: Subject, requirement: Requirement) -> Step:
             )
         write_json(out, {"failed": failed})
 
-    return Step("size", "open", (out,), work, its.request.go_on, inputs=checks, renewed=True)
+    words = "judge the prechecks"
+    return Step("size", "open", (out,), work, its.request.go_on, checks, renewed=True, words=words)
 
 
 def score(

@@ -63,6 +63,7 @@ class Step:
             an output appears whole or not at all.
         renewed: whether changed settings or newer inputs repeat the step. Other steps are kept.
         extra: whether the same run may be repeated without this step.
+        words: what people read in place of kind and name, which run folders keep.
         effort_s: estimated seconds on one core; only the share of the whole counts.
     """
 
@@ -77,6 +78,7 @@ class Step:
     renewed: bool = False
     extra: bool = False
     effort_s: float = START_S
+    words: str = ""
 
     @property
     def id(self) -> str:
@@ -86,7 +88,7 @@ class Step:
     @property
     def title(self) -> str:
         """Kind and name for people: "train retinanet", "ground"."""
-        return self.kind if self.kind == self.name else f"{self.kind} {self.name}"
+        return self.words or (self.kind if self.kind == self.name else f"{self.kind} {self.name}")
 
     @property
     def places(self) -> list[Path]:

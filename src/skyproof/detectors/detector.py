@@ -1,6 +1,7 @@
 """The interface of a detector, and the checks, and the padding that all of them share."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import torch
@@ -61,6 +62,11 @@ class Detector:
     def detect(self, images: Images) -> list[Detections]:
         """Finds vehicles in sRGB images in [0, 1]: all with score >= 0.01, after suppression."""
         raise NotImplementedError
+
+    @contextmanager
+    def of_other_classes(self) -> Iterator[bool]:
+        """Within it, `detect` finds the classes that are no vehicles; False if none are known."""
+        yield False
 
     @property
     def threshold(self) -> float:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -58,6 +59,22 @@ class ImportedDetector(TrainableDetector):
         # The libraries draw weights, which must not change the program's own draws.
         with torch.random.fork_rng(devices=[]):
             self.network = _network(blueprint)
+        # The background of Faster R-CNN is its class 0.
+        first = int(isinstance(self.network, FasterRcnnDetector))
+        own = set(blueprint.vehicle_classes)
+        self._others = [each for each in range(first, len(blueprint.classes)) if each not in own]
+
+    @contextmanager
+    def of_other_classes(self) -> Iterator[bool]:
+        """See `Detector.of_other_classes`."""
+        network: Any = self.network
+        vehicles = network.vehicle_classes
+        if self._others:
+            network.vehicle_classes = type(vehicles)(self._others)
+        try:
+            yield bool(self._others)
+        finally:
+            network.vehicle_classes = vehicles
 
     def loss(self, images: Images, targets: Sequence[Boxes]) -> Float[Tensor, " B"]:
         """The network's own loss per image against an empty truth, normalised (section 3.2)."""

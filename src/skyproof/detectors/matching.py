@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, get_args
+from typing import NamedTuple, get_args
 
 import numpy as np
 import torch
@@ -13,8 +13,8 @@ from torchvision import ops
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.detector import Detections
 from skyproof.errors import ConfigurationError
+from skyproof.ranges import Match
 
-Criterion = Literal["centre_1m", "iou_50", "centre_in_box"]
 CENTRE_DISTANCE_M = 1.0
 MATCH_IOU = 0.5
 # Detections per part: more than a detector returns for one image.
@@ -73,7 +73,7 @@ class MatchTable:
 
 
 def match_images(
-    detections: Sequence[Detections], labelled: Dataset, *, criterion: Criterion
+    detections: Sequence[Detections], labelled: Dataset, *, criterion: Match
 ) -> MatchTable:
     """Matches a set as `match_detections`; of `labelled` no pixels are read."""
     if len(detections) != len(labelled):
@@ -129,7 +129,7 @@ def match_detections(
     scores: Float[Tensor, " K"],
     truth: Float[Tensor, "T 4"],
     *,
-    criterion: Criterion,
+    criterion: Match,
     gsd_m: float,
     ignore: Float[Tensor, "m 4"] | None = None,
 ) -> Matches:
@@ -141,9 +141,9 @@ def match_detections(
     box holds its own centre, so that a detection of half a vehicle counts. Equal scores keep their
     order. An unmatched detection with its centre in an `ignore` region does not count.
     """
-    if criterion not in get_args(Criterion) or not gsd_m > 0:
+    if criterion not in get_args(Match) or not gsd_m > 0:
         raise ConfigurationError(
-            f"Matching expects one of {', '.join(get_args(Criterion))} and gsd_m above 0, but got "
+            f"Matching expects one of {', '.join(get_args(Match))} and gsd_m above 0, but got "
             f"{criterion} and {gsd_m}."
         )
     centres = _centres(boxes)

@@ -15,7 +15,7 @@ from pydantic import Field
 
 from skyproof.maite.datasets import batches
 from skyproof.maite.metric import HiddenVehicles
-from skyproof.results.outcomes import Match
+from skyproof.ranges import Match
 
 _Row = dict[str, float | int | None]
 

@@ -8,11 +8,11 @@ import numpy as np
 import torch
 
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.matching import Criterion, match_images
+from skyproof.detectors.matching import match_images
 from skyproof.errors import ConfigurationError
 from skyproof.maite.datasets import batches
 from skyproof.maite.models import checked_vehicles
-from skyproof.ranges import Fraction, check_value
+from skyproof.ranges import Fraction, Match, check_value
 from skyproof.results.outcomes import Cell, count_pairs
 from skyproof.results.rows_file import interval_columns, nulls_for_undefined
 from skyproof.results.statistics.contrasts import Group, mean_interval
@@ -56,7 +56,7 @@ class HiddenVehicles:
         threshold: float | None = None,
         labels: Sequence[int] = (0,),
         gsd_m: float | None = None,
-        match: Criterion = "centre_1m",
+        match: Match = "centre_1m",
         batch_size: int = 8,
     ) -> None:
         known = model.metadata.get("threshold") if threshold is None else threshold
@@ -74,7 +74,7 @@ class HiddenVehicles:
         self._one_class = len(dataset.metadata.get("index2label") or ()) == 1
         self._gsd_m = gsd_m
         self._made_for_m = model.metadata.get("gsd_m")
-        self._match: Criterion = match
+        self._match: Match = match
         # By the id of each unchanged image.
         self._renderings: dict[str, Any] = {}
         self._sizes_px: dict[str, tuple[int, int]] = {}

@@ -6,7 +6,7 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Int64
+from jaxtyping import Bool, Int64
 
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.detector import Detector
@@ -67,6 +67,7 @@ def _measure(detector: Detector, images: BaselineSet, view: SceneView, seed: int
         centre, _numbers(clusters), detector.threshold, generator
     )
     lenient = view.matched(detector.name, LENIENT_MATCH)
+    called = view.called_another_class(detector)
     return Baseline(
         detector=detector.name,
         dataset=images.name,
@@ -86,13 +87,14 @@ def _measure(detector: Detector, images: BaselineSet, view: SceneView, seed: int
         note=images.note,
         best=_best(centre),
         ap_centre_in_box=average_precision(lenient),
-        recall_centre_in_box=_recall(lenient, detector.threshold),
+        recall_centre_in_box=_share(lenient.found_at(detector.threshold)),
+        called_another_class=float("nan") if called is None else _share(called),
     )
 
 
-def _recall(matches: MatchTable, threshold: float) -> float:
-    """The share of the vehicles that are found; nan without a vehicle."""
-    return float(matches.found_at(threshold).mean()) if matches.vehicles else float("nan")
+def _share(vehicles: Bool[np.ndarray, " T"]) -> float:
+    """The share of the vehicles that are meant; nan without a vehicle."""
+    return float(vehicles.mean()) if len(vehicles) else float("nan")
 
 
 def _best(matches: MatchTable) -> BestF1 | None:

@@ -11,8 +11,9 @@ from skyproof.camouflage.camouflage import Camouflage
 from skyproof.detectors.detector import Detector
 from skyproof.detectors.matching import MatchTable
 from skyproof.measure.views import SceneChange, SceneRenderer, SceneView, counter, views
+from skyproof.ranges import Match
 from skyproof.render.frames import Renderer
-from skyproof.results.outcomes import MATCHES, Match, Outcome
+from skyproof.results.outcomes import MATCHES, Outcome
 from skyproof.scenes.scene import Placement, Scene
 from skyproof.vehicles.fleet import Fleet
 

@@ -2,6 +2,7 @@
 
 import hashlib
 import itertools
+import math
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -31,7 +32,7 @@ from skyproof.measure.views import (
 )
 from skyproof.render.portrait import portrait
 from skyproof.results.outcomes import MATCHES, Outcome, write_outcomes
-from skyproof.results.result import MAIN_MATCH
+from skyproof.results.result import LENIENT_MATCH, MAIN_MATCH
 from skyproof.results.rows_file import write_rows
 from skyproof.results.score_folder import (
     Baseline,
@@ -172,13 +173,32 @@ class _Writer:
 
     def _set_scores(self, detector: Detector, view: SceneView) -> list[SetScore]:
         rows = []
+        called = self._called_another_class(detector, view)
         for match in MATCHES:
             matches = view.matched(detector.name, match)
             _, false_alarms = matches.counts_at(detector.threshold)
             ap = average_precision(matches)
             per_km2 = false_alarms_per_km2(false_alarms, view.images.area_m2)
-            rows.append(SetScore(view.name, self._renderer, detector.name, match, ap, per_km2))
+            other = called if match == LENIENT_MATCH else math.nan
+            place = (view.name, self._renderer, detector.name, match)
+            rows.append(SetScore(*place, ap, per_km2, other))
         return rows
+
+    def _called_another_class(self, detector: Detector, view: SceneView) -> float:
+        """The share of the vehicles found before on which only another class is detected."""
+        if view is self._before or not is_pictured(CamouflageName.read(view.name)):
+            return math.nan
+        called = view.called_another_class(detector)
+        if called is None:
+            return math.nan
+        before, after = (one.matched(detector.name, LENIENT_MATCH) for one in (self._before, view))
+        places, places_after = (
+            list(zip(one.image_of_vehicle.tolist(), one.index_of_vehicle.tolist(), strict=True))
+            for one in (before, after)
+        )
+        others = set(itertools.compress(places_after, called))
+        found = [*itertools.compress(places, before.found_at(detector.threshold))]
+        return sum(place in others for place in found) / len(found) if found else math.nan
 
     def _draw(self, after: SceneView, detector: Detector, outcomes: Sequence[Outcome]) -> None:
         """Draws the chosen scenes of one camouflage; all camouflages share those without it."""

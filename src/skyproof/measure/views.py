@@ -5,8 +5,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
+import numpy as np
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from skyproof.camouflage.camouflage import Camouflage
@@ -16,12 +17,13 @@ from skyproof.detectors.detector import Detections, Detector
 from skyproof.detectors.inference import detect_by_each
 from skyproof.detectors.matching import MatchTable, match_images
 from skyproof.errors import ConfigurationError
+from skyproof.ranges import Match
 from skyproof.render.dataset import in_threads, placed_vehicles
 from skyproof.render.frames import Frames, Renderer
 from skyproof.render.renderer import TorchRenderer
-from skyproof.results.outcomes import ORIGINAL, Match
+from skyproof.results.outcomes import ORIGINAL
 from skyproof.results.precheck import Kind
-from skyproof.results.result import MAIN_MATCH
+from skyproof.results.result import LENIENT_MATCH, MAIN_MATCH
 from skyproof.scenes.scene import Scene
 from skyproof.vehicles.fleet import Fleet
 
@@ -54,6 +56,20 @@ class SceneView:
     images: Dataset  # one per scene, with its vehicles; rendered ones are rendered on demand
     found: Mapping[str, Sequence[Detections]]  # by detector and image
     _matched: dict[tuple[str, Match], MatchTable] = field(default_factory=dict, repr=False)
+
+    def called_another_class(self, detector: Detector) -> Bool[np.ndarray, " T"] | None:
+        """Whether a detector finds no vehicle but another class, of the vehicles in sight.
+
+        By the lenient rule at the frozen threshold, with another run of the detector. None if its
+        other classes are not known.
+        """
+        with detector.of_other_classes() as known:
+            if not known:
+                return None
+            (others,) = detect_by_each([detector], self.images)
+        called = match_images(others, self.images, criterion=LENIENT_MATCH)
+        missed = ~self.matched(detector.name, LENIENT_MATCH).found_at(detector.threshold)
+        return np.asarray(missed & called.found_at(detector.threshold))
 
     def matched(self, detector: str, match: Match) -> MatchTable:
         """A detector's detections matched with the vehicles by a rule, computed once."""

@@ -60,12 +60,18 @@ def _leniently(row: Result, lenient: Result) -> str:
         f"{hides(lenient.easr.estimate)} ({_sure(lenient.easr)})"
     )
     beside = row.easr.estimate - lenient.easr.estimate
-    if not beside >= _WORTH_SAYING:
-        return f"{said}."
-    return (
-        f"{said}. The other {points(beside).removeprefix('+')} points are vehicles detected more "
-        "than 1 m off their centre."
-    )
+    sentences = [f"{said}."]
+    if beside >= _WORTH_SAYING:
+        sentences.append(
+            f"The other {points(beside).removeprefix('+')} points are vehicles detected more than "
+            "1 m off their centre."
+        )
+    if not math.isnan(lenient.called_another_class):
+        sentences.append(
+            f"On {percent(lenient.called_another_class)} of the vehicles found before only another "
+            "class is detected."
+        )
+    return " ".join(sentences)
 
 
 def worst_case(case: WorstCase) -> str:

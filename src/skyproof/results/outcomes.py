@@ -7,7 +7,7 @@ import itertools
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, get_args, get_type_hints
+from typing import Annotated, Any, NamedTuple, get_args, get_type_hints
 
 import msgspec
 import numpy as np
@@ -20,12 +20,9 @@ from msgspec import Meta
 from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import StoredFileError
 from skyproof.files import write_beside
-from skyproof.ranges import Fraction, Metres, Name, WholeNumber, limits_of
+from skyproof.ranges import Fraction, Match, Metres, Name, WholeNumber, limits_of
 from skyproof.results.statistics.contrasts import DRAWS, SEEDS, Group, Repeat
 from skyproof.results.statistics.intervals import Sample
-
-Match = Literal["centre_1m", "iou_50", "centre_in_box"]
-"""Match rule of `match_detections`."""
 
 MATCHES: tuple[Match, ...] = get_args(Match)
 

@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Float
 
 from skyproof.camouflage.name import CamouflageName
-from skyproof.results.outcomes import MATCHES, ORIGINAL, Match, OutcomeCounts, Series
+from skyproof.ranges import Match
+from skyproof.results.outcomes import MATCHES, ORIGINAL, OutcomeCounts, Series
 from skyproof.results.rows_file import interval_columns, nulls_for_undefined
 from skyproof.results.score_folder import SetScore
 from skyproof.results.statistics.contrasts import (
@@ -70,6 +71,8 @@ class Result:
         drawn_shape: contrast of a combination with its own texture under random shapes.
         no_camouflage_p, no_camouflage_p_holm: McNemar's exact test against no camouflage, which
             random patterns can pass as well; None for means and controls.
+        called_another_class: share of the vehicles found before on which only another class is
+            detected, of the first repeat; nan but by the lenient rule, for detectors with others.
     """
 
     camouflage: CamouflageName
@@ -95,6 +98,7 @@ class Result:
     drawn_shape: Contrast | None = None
     no_camouflage_p: float | None = None
     no_camouflage_p_holm: float | None = None
+    called_another_class: float = math.nan
 
     @property
     def net_easr(self) -> Interval | None:
@@ -262,6 +266,7 @@ class _Table:
             strongest=None if name.random else self._strongest(members, detectors, name),
             drawn_shape=None if shape is None else self._contrast(members, detectors, shape),
             no_camouflage_p=None if untested else unchanged_p(totals),
+            called_another_class=self._mean(members[:1], detectors, "called_another_class"),
         )
 
     def _drawn(self, control: CamouflageName, detectors: list[str]) -> list[str]:

@@ -49,8 +49,9 @@ class Baseline:
 
     Intervals are over the clusters ("places" or "images"); undefined numbers are nan. Precision,
     recall and false alarms are at the frozen threshold by centre distance, AP and recall also by
-    the lenient rule, which older rows lack. A camera took `real` images, and the note tells their
-    source and processing.
+    the lenient rule, which older rows lack. Vehicles are called another class if only that is
+    detected on them, which is known of detectors with other classes. A camera took `real` images,
+    and the note tells their source and processing.
     """
 
     detector: Name
@@ -70,15 +71,18 @@ class Baseline:
     note: Annotated[str, Meta(max_length=10_000)] = ""
     ap_centre_in_box: Fraction = math.nan
     recall_centre_in_box: Fraction = math.nan
+    called_another_class: Fraction = math.nan
 
     @property
     def leniently(self) -> str:
         """AP and recall by the lenient rule in words; empty where they are not known."""
         if math.isnan(self.ap_centre_in_box):
             return ""
+        other = self.called_another_class
         return (
             f"by the lenient rule AP {percent(self.ap_centre_in_box)} and recall "
             f"{percent(self.recall_centre_in_box)}"
+            + ("" if math.isnan(other) else f", called another class {percent(other)}")
         )
 
     @property
@@ -122,7 +126,11 @@ class Pair:
 
 @dataclass(frozen=True)
 class SetScore:
-    """One detector on one whole set of images, or "original"; a row of `sets.json`."""
+    """One detector on one whole set of images, or "original"; a row of `sets.json`.
+
+    By the lenient rule also the share of the vehicles found before on which only another class is
+    detected, where it was measured: of optimised camouflages and detectors with other classes.
+    """
 
     camouflage: Name
     renderer: Name
@@ -130,6 +138,7 @@ class SetScore:
     match: str
     average_precision: Fraction
     false_alarms_per_km2: Annotated[float, Meta(ge=0, le=1e12)]
+    called_another_class: Fraction = math.nan
 
 
 class _PracticalityFile(Struct, frozen=True):
