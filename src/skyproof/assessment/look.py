@@ -19,6 +19,7 @@ from skyproof.detectors.import_checkpoint import Checkpoint, read_network
 from skyproof.detectors.loaded import load_detector
 from skyproof.errors import ImageryError, SkyproofError
 from skyproof.files import refuse_unwritable
+from skyproof.imagery.exif import exif_words
 from skyproof.imagery.labels.files import read_labels
 from skyproof.imagery.labels.label import GroundLabels, Labels
 from skyproof.imagery.settings import LabelSettings
@@ -130,7 +131,8 @@ def _look_at_imagery(its: Subject, mistakes: list[SkyproofError]) -> tuple[int, 
     grids = lay_grids(sources, tiling, notes)
     cells = [cell for grid in grids for cell in cells_of(grid)]
     test_tiles = max(1, round(len(cells) * tiling.shares[3]))
-    sentences = [_imagery(sources, cells), *merged_notes([*notes_on(sources), *notes])]
+    told = exif_words([source.exif for source in sources])
+    sentences = [_imagery(sources, cells), *told, *merged_notes([*notes_on(sources), *notes])]
     with _noted(mistakes):
         if request.labels is not None:
             settings = LabelSettings(request.labels, request.label_classes)

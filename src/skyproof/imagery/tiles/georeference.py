@@ -14,6 +14,7 @@ from rasterio.transform import from_gcps
 from rasterio.warp import transform as transform_places
 
 from skyproof.errors import ImageryError
+from skyproof.imagery.exif import read_exif
 from skyproof.imagery.settings import names_a_system
 
 COARSEST_GSD_M = 0.5
@@ -112,9 +113,11 @@ def read_georeference(
     if source_gsd_m is not None:
         gsd_m = source_gsd_m, source_gsd_m
     elif plain:
+        likely_m = read_exif(dataset).gsd_m
+        hint = "" if likely_m is None else f", by its camera's height about {likely_m:.2g}"
         raise ImageryError(
             f"{path} does not say how large its pixels are on the ground; give its metres per "
-            "pixel (--source.gsd-m)."
+            f"pixel (--source.gsd-m{hint})."
         )
     else:
         # A local system may say that its unit is unknown, with a length of zero.

@@ -21,6 +21,7 @@ from rasterio.io import DatasetReader
 from rasterio.windows import Window
 
 from skyproof.errors import ImageryError
+from skyproof.imagery.exif import Exif, read_exif
 from skyproof.imagery.labels.image_files import IMAGE_FOLDERS
 from skyproof.imagery.rasters import (
     RASTER_SUFFIXES,
@@ -39,6 +40,8 @@ OPEN_AT_ONCE = 8
 _PROBES, _PROBE_PX = 12, 128
 _BELOW_ALL, _ABOVE_ALL = -9000.0, 1e30
 """Between the fill values of many writers (-9999, -32768, -3.4e38, 3.4e38, NaN) lie pictures."""
+_DOUBTED = 1.6
+"""Times by which heights above the start are seldom off."""
 _COLOURS = ("red", "green", "blue")
 _INFRARED = ("nir", "rededge", "swir", "mwir", "lwir")
 
@@ -66,6 +69,7 @@ class Source:
     alpha_is_colour: bool
     nodata: float | None
     licence: str | None
+    exif: Exif
     notes: tuple[str, ...]
     collars: tuple[Collar, ...] = ()
 
@@ -198,7 +202,9 @@ def inspect_source(path: Path, settings: SourceSettings, reader: SourceReader) -
             nodata=dataset.nodata,
             licence=dataset.tags().get("TIFFTAG_COPYRIGHT") or settings.licence,
             notes=tuple(notes),
+            exif=read_exif(dataset),
         )
+        notes += _doubts(source)
         collars = find_collars(dataset, sorted({*bands}), _unmasked_corners(dataset, source))
         notes += [f"its {one.colour} collar is left out" for one in collars]
         source = dataclasses.replace(source, collars=collars, notes=tuple(notes))
@@ -208,6 +214,19 @@ def inspect_source(path: Path, settings: SourceSettings, reader: SourceReader) -
         low, high = _value_range(dataset, source, notes)
     notes.append(f"{kinds[0]} values from {low:.6g} to {high:.6g} become 0 to 255")
     return dataclasses.replace(source, value_range=(low, high), notes=tuple(notes))
+
+
+def _doubts(source: Source) -> list[str]:
+    """Notes that a resolution that was given is far from that of the camera's height."""
+    likely_m, (gsd_m, _) = source.exif.gsd_m, source.georeference.gsd_m
+    if source.georeference.crs is not None or likely_m is None:
+        return []
+    if 1 / _DOUBTED < gsd_m / likely_m < _DOUBTED:
+        return []
+    return [
+        f"its camera's height suggests about {100 * likely_m:.1f} rather than {100 * gsd_m:.1f} cm "
+        "per pixel; check the metres per pixel given"
+    ]
 
 
 def _unmasked_corners(dataset: DatasetReader, source: Source) -> list[Window]:
