@@ -67,7 +67,7 @@ def test_the_mask_of_a_crowd_is_an_ignore_region(tmp_path):
     ("segmentation", "message"),
     [
         (None, "annotation 5 has neither a bbox nor a segmentation"),
-        ([], "annotation 5 has neither"),
+        ([], "annotation 5 has a segmentation that is not"),
         ([[1, 2, 3, 4]], "annotation 5 has a segmentation that is not lists of x1, y1"),
         ([[1, 2, 3, 4, 5, 6, 7]], "annotation 5 has a segmentation that is not"),
         ([[1, 2, 3, 4, 5, "6"]], r"annotation 5, segmentation\[0\]\[5\]: expected a number"),

@@ -206,6 +206,13 @@ def test_one_class_of_yolo_needs_no_names(tmp_path, place):
         read_labels(tmp_path)
 
 
+def test_dota_comes_before_yolo_that_was_made_of_it(tmp_path):
+    picture(tmp_path / "images" / "one.png")
+    written(tmp_path / "labels" / "one.txt", "0 0.2 0.2 0.1 0.1\n")
+    written(tmp_path / "labelTxt" / "one.txt", "30 15 50 15 50 25 30 25 car 0\n")
+    assert read_labels(tmp_path).classes == ("car",)
+
+
 @pytest.mark.parametrize("place", ["classes.txt", "labels/classes.txt"])
 def test_the_class_list_of_labelling_tools_is_read(tmp_path, place):
     picture(tmp_path / "images" / "one.png")

@@ -106,13 +106,13 @@ def _outline(
     segmentation: msgspec.Raw, size_px: tuple[int, int] | None, where: str
 ) -> tuple[Point, ...]:
     """Returns the corners of the only polygon if it has four, or else of the box around all."""
-    if bytes(segmentation) in (b"", b"null", b"[]"):
+    if bytes(segmentation) in (b"", b"null"):
         raise damaged(where, "has neither a bbox nor a segmentation")
     text = b'{"segmentation":' + bytes(segmentation) + b"}"
     outlined: _Outlined = parse_document(text, _Outlined, where, "correct it", error=ImageryError)
     its = outlined.segmentation
     if isinstance(its, list):
-        if any(len(polygon) < 6 or len(polygon) % 2 for polygon in its):
+        if not its or any(len(polygon) < 6 or len(polygon) % 2 for polygon in its):
             raise damaged(where, "has a segmentation that is not lists of x1, y1, ... xn, yn")
         points = [point for each in its for point in zip(each[::2], each[1::2], strict=True)]
         return outline_corners(points)
