@@ -11,7 +11,7 @@ import rasterio
 import shapely
 
 from skyproof.errors import ImageryError
-from skyproof.imagery.labels.files import read_labels
+from skyproof.imagery.labels.files import label_files, read_labels
 from skyproof.imagery.labels.label import GroundLabels, ImageLabels, Label
 from skyproof.imagery.tiles.sources import find_images
 from tests.imagery.made import features, noise, picture, shape, written
@@ -519,3 +519,17 @@ def test_hostile_yaml_is_refused_and_runs_nothing(tmp_path, monkeypatch, text, m
     with pytest.raises(ImageryError, match=message):
         read_labels(tmp_path)
     assert not (tmp_path / "ran").exists()
+
+
+@pytest.mark.parametrize("named", [".", "images", "labels"])
+def test_the_files_that_decide_the_labels_are_listed(tmp_path, named):
+    names = written(tmp_path / "town.names", "car\n")
+    picture(tmp_path / "images" / "train" / "one.tif")
+    (tmp_path / "labels" / "train").mkdir(parents=True)
+    text = written(tmp_path / "labels" / "train" / "one.txt", "0 0.2 0.2 0.1 0.1")
+    assert [file.resolve() for file in label_files(tmp_path / named)] == [text, names]
+
+
+def test_xml_files_decide_labels(tmp_path):
+    file = written(tmp_path / "Annotations" / "one.xml", "<annotation/>")
+    assert label_files(tmp_path) == [file]

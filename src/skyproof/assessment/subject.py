@@ -30,6 +30,7 @@ from skyproof.detectors.loaded import load_detector, load_ensemble
 from skyproof.device import choose_device
 from skyproof.errors import ConfigurationError
 from skyproof.files import file_digest
+from skyproof.imagery.labels.files import label_files
 from skyproof.imagery.settings import SourceSettings
 from skyproof.imagery.tiles.sources import Source, inspect_sources
 from skyproof.layout import Layout
@@ -39,9 +40,6 @@ from skyproof.scenes.places import Places
 
 REFERENCE_GSD_M = 0.125
 """Resolution of the reference detectors, and of detectors that state none."""
-
-_READ = (".txt", ".yaml", ".json", ".geojson")
-"""Suffixes of label files, and of a detector card, which holds the digest of the weights."""
 
 _SIDES = (".shp", ".dbf", ".prj")
 """The files of a Shapefile."""
@@ -229,10 +227,11 @@ def _digest(path: Path) -> str:
 
 
 def _files(path: Path) -> list[Path]:
+    # The card of a detector holds the digest of its weights.
     if (path / "detector.json").is_file():
         return [path / "detector.json"]
     if path.is_dir():
-        return sorted(each for each in path.iterdir() if each.suffix.lower() in _READ)
+        return label_files(path)
     if path.suffix.lower() == ".shp":
         return [side for suffix in _SIDES if (side := path.with_suffix(suffix)).is_file()]
     return [path]

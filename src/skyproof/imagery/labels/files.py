@@ -31,6 +31,8 @@ _FORMS = (
     "of YOLO text with its images, DOTA text, VisDrone text or Pascal VOC .xml"
 )
 
+_SUFFIXES = (".txt", ".xml", ".yaml", ".names", ".json", ".geojson")
+
 
 class _LabelForm(msgspec.Struct):
     type: Any = None
@@ -69,10 +71,22 @@ def read_labels(path: Path, classes: Sequence[str] = ()) -> Labels:
     )
 
 
-def _read_folder(folder: Path) -> Labels:
-    # A user who names one of two folders beside each other means both.
+def label_files(folder: Path) -> list[Path]:
+    """Lists the files of a folder whose change may change its labels, without the images."""
+    roots = _roots(folder)
+    below = (file for root in roots for name in LABEL_FOLDERS for file in (root / name).rglob("*"))
+    found = {file for file in (*folder.iterdir(), *below) if file.suffix.lower() in _SUFFIXES}
+    return sorted(found | {names for names in map(class_file, roots) if names is not None})
+
+
+def _roots(folder: Path) -> list[Path]:
+    """A user who names one of two folders beside each other means both."""
     halved = folder.name in (*IMAGE_FOLDERS, *LABEL_FOLDERS)
-    roots = [folder, folder.parent] if halved else [folder]
+    return [folder, folder.parent] if halved else [folder]
+
+
+def _read_folder(folder: Path) -> Labels:
+    roots = _roots(folder)
     for root in roots:
         names = class_file(root)
         if names is not None:
