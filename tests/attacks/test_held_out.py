@@ -1,12 +1,15 @@
 """Scenes that no step sees: what hides there, and whether an attack has converged."""
 
+import threading
+
 import pytest
 import torch
 
 from skyproof.attacks.attack import attack
-from skyproof.attacks.held_out import BATCHES, HeldOut, Hidden
+from skyproof.attacks.held_out import BATCHES, HeldOut, Hidden, at_a_time
 from skyproof.camouflage.folder import read_record
 from skyproof.camouflage.paint import plain_paint
+from skyproof.detectors.answers import BlackBoxDetector
 from tests.attacks.test_kinds import FEW, BrightnessDetector, start, world
 from tests.attacks.test_search import loaded
 
@@ -99,3 +102,37 @@ def test_what_was_hidden_half_way_outlives_a_kill(tmp_path, world):
 
 def test_of_a_random_search_nothing_is_asked(tmp_path, world):
     assert learn(tmp_path, world, Told(world), name="R-PixFc_search") is None
+
+
+@pytest.fixture
+def two_threads():
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    yield
+    torch.set_num_threads(before)
+
+
+def test_networks_see_two_batches_at_a_time_and_the_scores_keep_their_order(
+    monkeypatch, world, two_threads
+):
+    held_out = HeldOut([loaded(0.6)], world, FEW.seed, 2)
+    alone = [held_out._scores(None, 2)["brightness"], held_out._scores(None, 8)["brightness"]]
+    assert torch.equal(alone[0], alone[1][:4])
+    both = threading.Barrier(2, timeout=20)
+    candidates = BrightnessDetector.candidates
+
+    def met(detector, images):
+        both.wait()
+        return candidates(detector, images)
+
+    monkeypatch.setattr(BrightnessDetector, "candidates", met)
+    assert torch.equal(held_out._scores(None, 8)["brightness"], alone[1])
+
+
+def test_a_black_box_is_asked_by_the_callers_thread_alone(two_threads):
+    asked = at_a_time(
+        lambda number: (number, threading.current_thread() is threading.main_thread()),
+        range(3),
+        [BlackBoxDetector(lambda images: [])],
+    )
+    assert asked == [(0, True), (1, True), (2, True)]

@@ -3,6 +3,7 @@
 import numpy as np
 import torch
 
+from skyproof.imagery.clearing import exemplar
 from skyproof.imagery.clearing.exemplar import fill_by_exemplar, fill_ground
 
 
@@ -80,3 +81,27 @@ def test_bytes_outside_the_mask_stay():
     filled = fill_ground(image, mask)
     assert torch.equal(filled[:, ~mask], image[:, ~mask])
     assert not torch.equal(filled, image)
+
+
+def test_far_from_the_hole_nothing_is_weighed_and_no_value_changes(monkeypatch):
+    rng = np.random.default_rng(2)
+    truth = rng.random((300, 320, 3))
+    mask = hole(300, 320, (slice(120, 150), slice(140, 170)))
+    filled = fill_by_exemplar(truth, mask)
+    sizes = []
+    blur = exemplar.ndimage.gaussian_filter
+
+    def noted(values, *options, **more):
+        sizes.append(values.shape)
+        return blur(values, *options, **more)
+
+    monkeypatch.setattr(exemplar.ndimage, "gaussian_filter", noted)
+    assert np.array_equal(fill_by_exemplar(truth, mask), filled)
+    assert sizes
+    assert max(max(size) for size in sizes) < 150
+    # The same with weights all over the window.
+    around, search_px = exemplar._around, exemplar._SEARCH_PX
+    monkeypatch.setattr(
+        exemplar, "_around", lambda flags, px: around(flags, px if px > search_px else 1000)
+    )
+    assert np.array_equal(fill_by_exemplar(truth, mask), filled)

@@ -14,7 +14,7 @@ from PIL import Image
 from torch import Tensor
 from torch.optim.lr_scheduler import LambdaLR
 
-from skyproof.attacks.held_out import HeldOut
+from skyproof.attacks.held_out import HeldOut, at_a_time
 from skyproof.attacks.objective import (
     OBJECTIVE,
     Objective,
@@ -200,18 +200,19 @@ class _Run:
             }
         return recorded
 
-    @torch.no_grad()
     def search(self) -> _Batch:
         """Tries a random change on half a batch, so in as many passes; kept if it is better."""
         settings, step = self.settings, self.loop.step
         scenes = self.world.step_scenes(max(1, settings.batch_size // 2), settings.seed, step)
         other = copy.deepcopy(self.camouflage)
         other.vary_(torch.Generator().manual_seed((settings.seed * 1_000_033 + step) % 2**63))
-        found = []
-        for each in (self.camouflage, other):
-            images = self.world.frames(each, scenes).image
-            found.append((objective(self.detectors, self.loop.facts["weights"], images), images))
-        before, after = found
+
+        @torch.no_grad()
+        def show(camouflage: Camouflage) -> _Batch:
+            images = self.world.frames(camouflage, scenes).image
+            return objective(self.detectors, self.loop.facts["weights"], images), images
+
+        before, after = at_a_time(show, (self.camouflage, other), self.detectors)
         if after[0].loss < before[0].loss:
             self.camouflage.load_state_dict(other.state_dict())
             return after

@@ -1,9 +1,9 @@
 """Scenes that no step of an attack sees, and how many of their vehicles a camouflage hides."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import torch
 from jaxtyping import Bool, Float
@@ -12,13 +12,17 @@ from torch import Tensor
 from skyproof.attacks.objective import target_scores
 from skyproof.attacks.world import World
 from skyproof.camouflage.camouflage import Camouflage
-from skyproof.detectors.detector import Detector
+from skyproof.detectors.detector import Detector, TrainableDetector
 from skyproof.detectors.inference import device_of
 from skyproof.errors import ConfigurationError
+from skyproof.render.dataset import in_threads
 from skyproof.scenes.scene import Scene
 
 BATCHES = 8
 BATCH_SIZE = 8
+
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
 
 
 class Hidden(NamedTuple):
@@ -92,9 +96,28 @@ class HeldOut:
         """Each detector's best score on the vehicle of every scene."""
         device = device_of(self.detectors[0])
         gsd_m = self.world.backgrounds.gsd_m
-        scores: dict[str, list[Tensor]] = {each.name: [] for each in self.detectors}
-        for scenes in self._batches[:batches]:
+
+        @torch.no_grad()
+        def show(scenes: list[Scene]) -> list[Tensor]:
             frames = self.world.frames(camouflage, scenes, device)
-            for each in self.detectors:
-                scores[each.name].append(target_scores(each, frames, gsd_m))
-        return {name: torch.cat(parts) for name, parts in scores.items()}
+            return [target_scores(each, frames, gsd_m) for each in self.detectors]
+
+        found = at_a_time(show, self._batches[:batches], self.detectors)
+        return {
+            each.name: torch.cat([scores[number] for scores in found])
+            for number, each in enumerate(self.detectors)
+        }
+
+
+def at_a_time(
+    work: Callable[[_Item], _Result], items: Sequence[_Item], detectors: Sequence[Detector]
+) -> list[_Result]:
+    """Does work that shows images to detectors: on a CPU, networks see several items at a time.
+
+    The caller's thread alone asks black-box detectors, whose code may not take several.
+    """
+    networks = all(isinstance(each, TrainableDetector) for each in detectors)
+    if not networks or device_of(detectors[0]).type != "cpu":
+        return [work(item) for item in items]
+    with in_threads(work, items, torch.get_num_threads()) as results:
+        return list(results)

@@ -18,7 +18,7 @@ from cmaes import CMA
 from jaxtyping import Float
 from torch import nn
 
-from skyproof.attacks.held_out import HeldOut
+from skyproof.attacks.held_out import HeldOut, at_a_time
 from skyproof.attacks.objective import target_scores
 from skyproof.attacks.settings import QuerySettings
 from skyproof.attacks.world import World
@@ -267,7 +267,6 @@ def _stored_scores(row: Mapping[str, Any], count: int, folder: Path) -> list[flo
     return scores
 
 
-@torch.no_grad()
 def _try(
     candidates: Sequence[Camouflage],
     detector: Detector,
@@ -278,5 +277,9 @@ def _try(
     """Shows the detector every candidate in the same scenes; returns mean scores on the target."""
     scenes = world.step_scenes(settings.batch_size, settings.seed, step)
     gsd_m = world.backgrounds.gsd_m
-    frames = (world.frames(candidate, scenes) for candidate in candidates)
-    return [float(target_scores(detector, each, gsd_m).mean()) for each in frames]
+
+    @torch.no_grad()
+    def show(candidate: Camouflage) -> float:
+        return float(target_scores(detector, world.frames(candidate, scenes), gsd_m).mean())
+
+    return at_a_time(show, candidates, [detector])

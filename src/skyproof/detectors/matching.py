@@ -168,12 +168,16 @@ def match_detections(
     # Detections choose one after the other.
     truth_of_detection = torch.full((len(boxes),), -1, dtype=torch.int64)
     detection_of_truth = torch.full((len(truth),), -1, dtype=torch.int64)
-    for detection in torch.argsort(scores, descending=True, stable=True).tolist():
-        free = [pair for pair in pairs.get(detection, ()) if detection_of_truth[pair[1]] < 0]
+    taken: dict[int, int] = {}
+    order = torch.argsort(scores, descending=True, stable=True).tolist() if pairs else []
+    for detection in order:
+        free = [pair for pair in pairs.get(detection, ()) if pair[1] not in taken]
         if free:
             best = min(free)[1]
             truth_of_detection[detection] = best
-            detection_of_truth[best] = detection
+            taken[best] = detection
+    for vehicle, detection in taken.items():
+        detection_of_truth[vehicle] = detection
     ignored = torch.zeros(len(boxes), dtype=torch.bool)
     if ignore is not None and len(ignore):
         ignored = _inside(centres, ignore).any(dim=1) & (truth_of_detection < 0)

@@ -13,7 +13,7 @@ from torch import Tensor
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.datasets.dataset import Dataset
 from skyproof.datasets.pictures import Picture, PictureInMemory, Window
-from skyproof.detectors.detector import Detections, Detector
+from skyproof.detectors.detector import Detections, Detector, TrainableDetector
 from skyproof.detectors.inference import detect_by_each
 from skyproof.detectors.matching import MatchTable, match_images
 from skyproof.errors import ConfigurationError
@@ -120,9 +120,10 @@ def views(
 ) -> Iterator[SceneView]:
     """Yields the view of the scenes as they are, then one under each change.
 
-    Images have 8 bits a channel, as in files. A batch is rendered while the detectors run on the
-    one before. `unchanged` are the scenes as they are, if they are rendered already. `progress`
-    gets the number of images of each finished batch.
+    Images have 8 bits a channel, as in files. On a CPU several batches are rendered, and shown to
+    networks, at a time; the caller's thread alone asks black-box detectors. `unchanged` are the
+    scenes as they are, if they are rendered already. `progress` gets the number of images of each
+    finished batch.
     """
     _check(detectors, scenes)
     if unchanged is None:
@@ -164,6 +165,19 @@ def _render_and_detect(
     progress: Callable[[int], None],
 ) -> SceneView:
     draw = stage.under(change)
+
+    def draw_and_look(
+        batch: Sequence[Scene],
+    ) -> tuple[Frames, UInt8[Tensor, "B 3 H W"], Mapping[str, Sequence[Detections]] | None]:
+        frames = draw(batch)
+        pixels = _bytes(frames)
+        return frames, pixels, look_at(pixels) if trainable else None
+
+    def look_at(pixels: UInt8[Tensor, "B 3 H W"]) -> Mapping[str, Sequence[Detections]]:
+        unlabelled = [torch.zeros(0, 4)] * len(pixels)
+        shown = Dataset.of_images(list(pixels), unlabelled, gsd_m=gsd_m)
+        return look(detectors, change.name, shown).found
+
     batches = [scenes[start : start + _BATCH_SIZE] for start in range(0, len(scenes), _BATCH_SIZE)]
     gsd_m = scenes[0].camera.gsd_m
     pictures: list[Picture] = []
@@ -172,14 +186,13 @@ def _render_and_detect(
     found: dict[str, list[Detections]] = {each.name: [] for each in detectors}
     threads = torch.get_num_threads()
     several = stage.renderer.concurrent and torch.device(stage.device).type == "cpu"
-    with in_threads(draw, batches, threads if several else 1) as drawn:
-        # Rendering is done ahead, so most of the time the detectors have the cores to themselves.
-        torch.set_num_threads(threads)
-        for batch, frames in zip(batches, drawn, strict=True):
-            pixels = _bytes(frames)
-            unlabelled = [torch.zeros(0, 4)] * len(batch)
-            shown = Dataset.of_images(list(pixels), unlabelled, gsd_m=gsd_m)
-            for name, detections in look(detectors, change.name, shown).found.items():
+    trainable = several and all(isinstance(each, TrainableDetector) for each in detectors)
+    with in_threads(draw_and_look, batches, threads if several else 1) as drawn:
+        if not trainable:
+            # Rendering is done ahead, so most of the time the detectors have the cores alone.
+            torch.set_num_threads(threads)
+        for batch, (frames, pixels, answers) in zip(batches, drawn, strict=True):
+            for name, detections in (answers or look_at(pixels)).items():
                 found[name] += detections
             size_px = (pixels.shape[3], pixels.shape[2])
             pictures += [_Rendered(size_px, partial(draw, [scene])) for scene in batch]

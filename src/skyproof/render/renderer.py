@@ -138,7 +138,7 @@ class GeometryBuffer:
 class GeometryBuffers:
     """Buffers in a bounded memory, as many steps redraw scenes; threads may share it."""
 
-    most_bytes = 400_000_000
+    most_bytes = 600_000_000
 
     def __init__(self) -> None:
         self._kept: dict[tuple[int, ...], GeometryBuffer] = {}

@@ -1,10 +1,12 @@
 """Removes vehicles from a tiled folder; a tile that cannot be cleared is left out (section 5.2)."""
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 from jaxtyping import Bool, Float
@@ -13,6 +15,7 @@ from torch import Tensor
 from skyproof.datasets.coco import ANNOTATIONS, drop_images
 from skyproof.datasets.dataset import boxes_of
 from skyproof.datasets.pictures import Boxes, Pixels
+from skyproof.detectors.detector import TrainableDetector
 from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError, ImageryError, StoredFileError
 from skyproof.files import refuse_links, write_json
@@ -34,11 +37,13 @@ from skyproof.imagery.drivable import drivable_directions
 from skyproof.imagery.photographs import picture_of
 from skyproof.imagery.tiles.tiling import copy_ground_index
 from skyproof.layout import CLEARING_RECORD
+from skyproof.render.dataset import in_threads
 from skyproof.scenes.background_index import BackgroundTile, save_map, save_tile, write_index
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.places import RemovedVehicle
 from skyproof.scenes.splits import SPLITS
 
+_Result = TypeVar("_Result")
 Fill = Callable[[Pixels, Bool[Tensor, "H W"]], Pixels]
 
 MARGIN_M = 0.4
@@ -133,22 +138,31 @@ def clear_backgrounds(
     # Vehicles of all tiles come first: a shadow is estimated from all tiles of one picture.
     found: dict[str, _Found] = {}
     profiles: dict[str, list[Tensor]] = defaultdict(list)
-    for done, tile in enumerate(tiles, start=1):
-        found[tile.id] = _find(clearing, tile)
-        profiles[picture_of(tile)].append(found[tile.id].profiles)
-        if progress is not None:
-            progress("find", done, len(tiles))
+    with _by_tile(clearing, partial(_find, clearing), tiles) as every:
+        for done, (tile, one) in enumerate(zip(tiles, every, strict=True), start=1):
+            found[tile.id] = one
+            profiles[picture_of(tile)].append(one.profiles)
+            if progress is not None:
+                progress("find", done, len(tiles))
     shadows = {picture: estimate_shadow(measured) for picture, measured in profiles.items()}
     lights = measured_lights(backgrounds, tiles, {name: one.removed for name, one in found.items()})
+
+    def clear(tile: BackgroundTile) -> tuple[Cleared, SheetRow | None, BackgroundTile | None]:
+        picture, one = picture_of(tile), found[tile.id]
+        row, shown, image = _clear_tile(clearing, tile, one, shadows[picture])
+        if row.left_out is not None:
+            return row, shown, None
+        lit = replace(tile, light=lights.get(picture, tile.light))
+        return row, shown, _stored(clearing, lit, image, one)
+
     rows, kept = [], []
-    with ContactSheet(out / "sheets") as sheet:
-        for done, tile in enumerate(tiles, start=1):
-            shadow = shadows[picture_of(tile)]
-            row, image = _clear_tile(clearing, tile, found[tile.id], shadow, sheet)
+    with ContactSheet(out / "sheets") as sheet, _by_tile(clearing, clear, tiles) as cleared:
+        for done, (row, shown, stored) in enumerate(cleared, start=1):
             rows.append(row)
-            if row.left_out is None:
-                lit = replace(tile, light=lights.get(picture_of(tile), tile.light))
-                kept.append(_stored(clearing, lit, image, found[tile.id]))
+            if shown is not None:
+                sheet.add(shown)
+            if stored is not None:
+                kept.append(stored)
             if progress is not None:
                 progress("clear", done, len(tiles))
     record = _record(clearing, rows, shadows) | lights_record(lights)
@@ -161,6 +175,18 @@ def clear_backgrounds(
     copy_ground_index(folder, out, {tile.id for tile in kept})
     write_index(out, backgrounds.gsd_m, kept, backgrounds.sensor, backgrounds.light)
     return record
+
+
+def _by_tile(
+    clearing: _Clearing,
+    work: Callable[[BackgroundTile], _Result],
+    tiles: Sequence[BackgroundTile],
+) -> AbstractContextManager[Iterator[_Result]]:
+    """Yields the results of work in order; threads do several tiles, not with black boxes."""
+    used = [each.detector for each in (clearing.finder, clearing.checker) if each is not None]
+    if not all(isinstance(each, TrainableDetector) for each in used):
+        return nullcontext(map(work, tiles))
+    return in_threads(work, tiles, torch.get_num_threads())
 
 
 def _find(clearing: _Clearing, tile: BackgroundTile) -> _Found:
@@ -190,9 +216,8 @@ def _clear_tile(
     tile: BackgroundTile,
     found: _Found,
     shadow: Shadow | None,
-    sheet: ContactSheet,
-) -> tuple[Cleared, Pixels]:
-    """Fills one tile, checks it, and adds it to the sheet if it changed."""
+) -> tuple[Cleared, SheetRow | None, Pixels]:
+    """Fills one tile and checks it; returns its picture for the sheet if it changed."""
     checker, gsd_m = clearing.checker, clearing.backgrounds.gsd_m
     row = Cleared(tile.id, tile.split, len(found.labelled), len(found.detected), len(found.removed))
     before = image = clearing.backgrounds.pixels(tile.id)
@@ -220,9 +245,10 @@ def _clear_tile(
         row.detected += len(remaining)
         boxes = remaining
     kept = row.left_out is None
+    shown = None
     if mask.any() or not kept:
-        sheet.add(SheetRow(tile.id, _caption(row), kept, before, image, mask, remaining))
-    return row, image
+        shown = SheetRow(tile.id, _caption(row), kept, before, image, mask, remaining)
+    return row, shown, image
 
 
 def _stored(

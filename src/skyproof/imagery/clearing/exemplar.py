@@ -35,6 +35,8 @@ _HOLD = 0.02
 """Weight of the copied ground's values, levelled as a whole, against a joint without a step."""
 _BRIGHTNESS_FREEDOM = 0.7
 """Share of an even difference in brightness that is no mismatch, because it is levelled."""
+_TRUNCATE = 8.0
+"""Standard deviations after which a weight counts as nothing."""
 _SEEN_SHARE = 0.6
 """Smallest share of a shifted ring on ground that may be compared."""
 
@@ -105,10 +107,14 @@ def _pieces(mask: Flags) -> list[Flags]:
 
 
 def _reach(piece: Flags) -> tuple[slice, slice]:
-    margin_px = _SEARCH_PX + _RING_PX + 1
+    return _around(piece, _SEARCH_PX + _RING_PX + 1)
+
+
+def _around(flags: Flags, margin_px: int) -> tuple[slice, slice]:
+    """Returns the rows and columns of what is set, with a margin."""
     rows, columns = (
         slice(max(0, found.start - margin_px), found.stop + margin_px)
-        for found in ndimage.find_objects(piece.astype(np.int8))[0]
+        for found in ndimage.find_objects(flags.astype(np.int8))[0]
     )
     return rows, columns
 
@@ -193,17 +199,22 @@ def _best_shifts(window: _Window, ring: Flags, sound: Flags) -> list[Shift]:
 def _serve_sides(
     window: _Window, ring: Flags, sound: Flags, shifts: list[Shift]
 ) -> NDArray[np.int64]:
-    """Gives each pixel the number of the shift that mismatches the nearby ring least."""
+    """Gives each pixel of the hole the number of the shift that mismatches the near ring least."""
     reach_px = 0.15 * math.sqrt(window.hole.sum()) + 2
+    # Only the hole's pixels are asked for, and farther away nothing reaches them.
+    margin_px = math.ceil(_TRUNCATE * reach_px) + 1
+    part = _around(window.hole, margin_px)
+    choice = np.zeros(window.hole.shape, np.int64)
     costs = []
     for shift in shifts:
-        seen = ring & _shifted(sound, shift)
-        weight = ndimage.gaussian_filter(seen.astype(float), reach_px, truncate=8) + 1e-12
-        difference = np.where(
-            seen, ((window.values - _shifted(window.values, shift)) ** 2).sum(2), 0.0
-        )
-        costs.append(ndimage.gaussian_filter(difference, reach_px, truncate=8) / weight)
-    return np.argmin(costs, axis=0)
+        seen = (ring & _shifted(sound, shift))[part]
+        weight = ndimage.gaussian_filter(seen.astype(float), reach_px, truncate=_TRUNCATE) + 1e-12
+        apart = window.values[part] - _shifted(window.values, shift)[part]
+        difference = np.where(seen, (apart**2).sum(2), 0.0)
+        blurred = ndimage.gaussian_filter(difference, reach_px, truncate=_TRUNCATE)
+        costs.append(blurred / weight)
+    choice[part] = np.argmin(costs, axis=0)
+    return choice
 
 
 def _shifted(values: NDArray[Any], shift: Shift) -> NDArray[Any]:

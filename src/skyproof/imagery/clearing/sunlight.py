@@ -25,6 +25,7 @@ from skyproof.imagery.clearing.vehicle_masks import (
     arrival,
     covered_ground,
     darkness_profiles,
+    enough_profiles,
     shadow_side,
     stack_profiles,
     window_around,
@@ -170,10 +171,10 @@ def _light_by_vehicles(
         found = exposure_of(backgrounds, tiles, middles_px)
         known = replace(known, white=found.white, black=found.black)
     shown = {tile.id: Footprints.of(vehicles[tile.id], gsd_m) for tile in tiles}
-    profiles = [
+    profiles = enough_profiles(
         darkness_profiles(backgrounds.pixels(name), one.boxes, one.headings_rad, gsd_m=gsd_m)
         for name, one in shown.items()
-    ]
+    )
     if casts_no_shadow(profiles):
         return replace(known, sky=OVERCAST_SKY)
     sun = known.sun or estimate_sun(profiles)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from threading import Lock
 
 import numpy as np
 import torch
@@ -120,6 +121,20 @@ def estimate_shadow(profiles: Iterable[Float[Tensor, "_ directions layers"]]) ->
     return Shadow(direction, min(reach_m, LONGEST_SHADOW_M), contrast, len(stacked))
 
 
+def enough_profiles(
+    profiles: Iterable[Float[Tensor, "_ directions layers"]],
+) -> list[Float[Tensor, "_ directions layers"]]:
+    """Takes profiles until they hold as many vehicles as `stack_profiles` stacks."""
+    taken: list[Tensor] = []
+    vehicles = 0
+    for of_tile in profiles:
+        taken.append(of_tile)
+        vehicles += int(of_tile.isfinite().any((1, 2)).sum())
+        if vehicles >= SAMPLE_LIMIT:
+            break
+    return taken
+
+
 def stack_profiles(profiles: Iterable[Float[Tensor, "_ directions layers"]]) -> Array:
     """Stacks the profiles of up to 300 vehicles with free ground, `[n, directions, layers]`."""
     every = [tensor.double().numpy() for tensor in profiles]
@@ -221,6 +236,10 @@ class VehicleFinder:
 
     detector: Detector
     name: str
+    # Tiles are cleared in several threads, and a detector may not take images of several sizes at
+    # a time.
+    _alone: Lock = field(default_factory=Lock, repr=False, compare=False)
+    _threads: int = field(default_factory=torch.get_num_threads, repr=False, compare=False)
 
     @classmethod
     def of_folder(cls, detector: Detector, folder: Path, device: torch.device) -> VehicleFinder:
@@ -234,7 +253,9 @@ class VehicleFinder:
         boxes, scores = torch.zeros(0, 4), torch.zeros(0)
         for left, top, width, height in covering_windows((image.shape[2], image.shape[1])):
             part = image[:, top : top + height, left : left + width]
-            (found,) = detect_batch(self.detector, part[None])
+            with self._alone:
+                torch.set_num_threads(self._threads)
+                (found,) = detect_batch(self.detector, part[None])
             keep = found.scores.cpu() >= self.detector.threshold
             shift = torch.tensor([left, top, left, top], dtype=torch.float32)
             boxes = torch.cat([boxes, found.boxes.cpu()[keep] + shift])
