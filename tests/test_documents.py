@@ -3,16 +3,19 @@
 import json
 from dataclasses import asdict, dataclass, is_dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec import Meta
 
 from skyproof.documents import check_document, parse_document, read_document, read_lines
 from skyproof.errors import ConfigurationError, ImageryError, StoredFileError
 from skyproof.ranges import Coordinate, Count, FileReference, Fraction, Name, Seed
+
+Xs = Annotated[str, Meta(pattern="^x+$")]
 
 
 @dataclass(frozen=True)
@@ -108,7 +111,7 @@ def test_text_becomes_a_path_where_one_is_asked_for() -> None:
         (changed(name="x" * 10**6), ", name: expected a plain name"),
         (changed(file="/etc/passwd"), ", file: expected a file inside the same folder"),
         (changed(file="a/../../b"), ", file: expected a file inside the same folder"),
-        (changed(kind="middle"), ", kind: invalid enum value 'middle'"),
+        (changed(kind="middle"), ", kind: 'middle' is none of the known values"),
         (changed(seed=2**63), ", seed: expected a whole number of at most 64 bits"),
         (changed(extra=2**70), "there is no field 'extra'"),
         (changed(seed=1.5), ", seed: expected a whole number"),
@@ -136,6 +139,38 @@ def test_text_becomes_a_path_where_one_is_asked_for() -> None:
 )
 def test_one_sentence_with_the_place(content: str | bytes, words: str) -> None:
     assert words in said(content)
+
+
+@pytest.mark.parametrize(
+    ("value", "kind", "words"),
+    [
+        ("x", int | list[int] | None, "expected a whole number or a list or null, got text"),
+        (3, dict[Xs, int] | None, "an object or null, got a"),
+        (
+            {"y": 1},
+            dict[Xs, int],
+            "a field's name: expected text",
+        ),
+        (
+            {"a": {1: 2}},
+            dict[str, dict[str, int]],
+            "a field's name: expected text, got",
+        ),
+        ("y", Xs, "expected text of another form;"),
+        (b"x", int, "expected a whole number, got bytes"),
+        ({1}, int, "expected a whole number, got a list"),
+        ("y" * 10**6, Literal["x"], "'yyyy"),
+    ],
+)
+def test_a_sentence_holds_no_pattern_and_no_type_of_python(
+    value: Any, kind: Any, words: str
+) -> None:
+    with pytest.raises(StoredFileError) as caught:
+        check_document(value, kind, "file", "replace it")
+    assert words in str(caught.value)
+    assert len(str(caught.value)) < 400
+    for sign in ("`", "^", "regex", "|", "NoneType", "enum"):
+        assert sign not in str(caught.value)
 
 
 @pytest.mark.parametrize(

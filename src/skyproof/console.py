@@ -15,17 +15,40 @@ _LINE_EVERY_S = 15.0
 _TRUSTED_S = 60.0
 _TRUSTED_SHARE = 0.05
 
+# Names in files of strangers may be of any length.
+_LONGEST_WORD = 300
+_LONGEST_ERROR = 1400
+_LONGEST_LINE = 4000
+# Between a number and its unit.
+_THIN_SPACE = "\u202f"
+
 
 def say(message: str) -> None:
-    """Prints one line."""
-    _print(message, sys.stdout)
+    """Prints one line, or several."""
+    lines = (_shown(line, _LONGEST_LINE) for line in message.split("\n"))
+    _print("\n".join(lines), sys.stdout)
 
 
 def say_error(message: str) -> None:
     """Prints one line to standard error."""
-    # Messages of libraries may hold line breaks, names in files what moves a terminal's cursor.
-    line = "".join(sign if sign.isprintable() else "?" for sign in " ".join(message.split()))
-    _print(f"skyproof: {line}", sys.stderr)
+    # Messages of libraries may hold line breaks.
+    words = (shortened(word, _LONGEST_WORD) for word in message.split())
+    _print(f"skyproof: {_shown(' '.join(words), _LONGEST_ERROR)}", sys.stderr)
+
+
+def shortened(text: str, most: int) -> str:
+    """A text of at most so many characters and, in its middle, dots for what is left out."""
+    if len(text) <= most:
+        return text
+    return f"{text[: most * 2 // 3]}...{text[-(most // 3) :]}"
+
+
+def _shown(line: str, most: int) -> str:
+    """Gives a line as it is shown: names in files may hold what moves a terminal's cursor."""
+    signs = (
+        sign if sign.isprintable() or sign == _THIN_SPACE else "?" for sign in shortened(line, most)
+    )
+    return "".join(signs)
 
 
 def _print(line: str, stream: Any) -> None:

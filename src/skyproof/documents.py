@@ -27,18 +27,21 @@ T = TypeVar("T")
 _WHOLE_LIMIT = 2**63
 _LARGEST_BYTES = 4 * 2**30
 _TYPES = {
-    "`float`": "a number",
-    "`int`": "a whole number",
-    "`str`": "text",
-    "`bool`": "true or false",
-    "`array`": "a list",
-    "`object`": "an object",
-    "`null`": "null",
-    "`Path`": "a path",
-    # msgspec uses Python's names for values that do not become a path.
-    "`list`": "a list",
-    "`dict`": "an object",
-    "`NoneType`": "null",
+    "float": "a number",
+    "int": "a whole number",
+    "str": "text",
+    "bool": "true or false",
+    "array": "a list",
+    "object": "an object",
+    "null": "null",
+    "Path": "a path",
+    # msgspec uses Python's names for values that do not become a path, and for some given ones.
+    "list": "a list",
+    "tuple": "a list",
+    "set": "a list",
+    "dict": "an object",
+    "bytes": "bytes",
+    "NoneType": "null",
 }
 
 
@@ -137,7 +140,7 @@ def _in_one_sentence(
     except SkyproofError as unfit:
         said = f"does not hold together: {str(unfit).rstrip('.')}"
     except msgspec.ValidationError as unfit:
-        said = _in_words(str(unfit))
+        said = in_words(str(unfit))
     except (msgspec.DecodeError, UnicodeDecodeError) as damaged:
         said = f"is not JSON ({' '.join(str(damaged).split()).rstrip('.')[:200]})"
     raise error(f"{place}{'' if said.startswith(',') else ' '}{said}; {remedy}.") from None
@@ -211,16 +214,21 @@ def _at(place: str) -> str:
     return f", {place}: " if place else "cannot be used: "
 
 
-def _in_words(message: str) -> str:
+def in_words(message: str) -> str:
     """Turns "Expected `float`, got `str` - at `$.a.b`" into ", a.b: expected a number, ..."."""
     said, _, where = message.partition(" - at ")
-    place = where.strip("`").removeprefix("$").removeprefix(".")
-    # One of several types stands as `array | null`.
-    said = re.sub(r"`\w+(?: \| \w+)+`", lambda its: its[0].replace(" | ", "` | `"), said)
-    for kind, words in _TYPES.items():
-        said = said.replace(kind, words)
+    of_name = where.startswith("`key` in ")
+    place = where.removeprefix("`key` in ").strip("`").removeprefix("$").removeprefix(".")
+    said = re.sub(r"^Object missing required field `(.*)`$", r"the field \1 is missing", said)
+    said = re.sub(r"^Invalid enum value (.*)$", r"\1 is none of the known values", said)
+    said = re.sub(r"`(\w+(?: \| \w+)*)`", _kinds_in_words, said)
     for pattern, words in WORDS.items():
         said = said.replace(f"text matching regex {pattern!r}", words)
-    said = re.sub(r"^Object missing required field `(.*)`$", r"the field \1 is missing", said)
-    said = said[:1].lower() + said[1:].replace(" | ", " or ")
-    return f"{_at(place)}{said[:300]}"
+    said = re.sub(r"text matching regex .*", "text of another form", said)
+    said = said[:1].lower() + said[1:300]
+    return _at(place) + ("a field's name: " if of_name else "") + said
+
+
+def _kinds_in_words(named: re.Match[str]) -> str:
+    """Gives the kinds of a union, such as `int | null`, in words."""
+    return " or ".join(_TYPES.get(kind, "another kind") for kind in named[1].split(" | "))

@@ -6,6 +6,7 @@ import ctypes
 import errno
 import os
 import sys
+import warnings
 from collections.abc import Mapping, Sequence
 from importlib import import_module
 from typing import Any
@@ -71,6 +72,9 @@ _NO_NETWORK = {
 }
 """Closes the ways of GDAL and PROJ to the network, should a file find one past our checks."""
 
+_QUIET = {"CPL_LOG": os.devnull, "PROJ_DEBUG": "0", "TORCH_CPP_LOG_LEVEL": "ERROR"}
+"""Keeps lines of GDAL, PROJ and torch, which write to the terminal, away from our sentences."""
+
 
 def main(commands: Commands = COMMANDS) -> None:
     """Runs the command that the program's arguments name."""
@@ -78,6 +82,11 @@ def main(commands: Commands = COMMANDS) -> None:
     # imported.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     os.environ.update(_NO_NETWORK)
+    # Whoever looks for a mistake sets these variables, or asks Python for its warnings.
+    for variable, value in _QUIET.items():
+        os.environ.setdefault(variable, value)
+    if not sys.warnoptions:
+        warnings.simplefilter("ignore")
     _keep_freed_memory()
     sys.exit(run(commands=commands))
 
@@ -98,7 +107,10 @@ def run(arguments: Sequence[str] | None = None, *, commands: Commands = COMMANDS
         else:
             _parse(words, commands).run()
     except SystemExit as stop:
-        return stop.code if isinstance(stop.code, int) else 0
+        if stop.code is None or isinstance(stop.code, int):
+            return stop.code or 0
+        say_error(str(stop.code))
+        return 2
     except KeyboardInterrupt:
         say_error("stopped; give the same command again to go on.")
         return 130

@@ -150,7 +150,7 @@ def _expected(hint: Any) -> str:
             words.append(f"text of at most {meta.max_length:,} characters")
             continue
         if meta.pattern is not None:
-            words.append(WORDS.get(meta.pattern, f"text like {meta.pattern}"))
+            words.append(WORDS.get(meta.pattern, "text of another form"))
             continue
         if (meta.ge, meta.le) == _SIGNED_64_BITS:
             words.append("a whole number of at most 64 bits")

@@ -85,6 +85,45 @@ else:
 """
 
 
+LOUD = """
+from skyproof import main
+
+def speak():
+    import warnings
+    from rasterio.crs import CRS
+    from rasterio.warp import transform
+    warnings.warn("overflow encountered in cast", RuntimeWarning)
+    grid = CRS.from_string("+proj=utm +zone=60 +nadgrids=missing.gsb")
+    for way in (lambda: CRS.from_user_input("EPSG:999999"),
+                lambda: transform(grid, "EPSG:4326", [5e5], [5e6])):
+        try:
+            way()
+        except Exception:
+            pass
+
+main.run = lambda **_: speak()
+if GUARDED:
+    main.main()
+else:
+    speak()
+"""
+
+
+@pytest.mark.parametrize("guarded", [True, False])
+def test_libraries_write_nothing_beside_the_sentence(guarded):
+    done = subprocess.run(
+        [sys.executable, "-c", LOUD.replace("GUARDED", str(guarded))],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=120,
+    )
+    assert (done.stderr == "") is guarded
+    if not guarded:
+        assert "RuntimeWarning" in done.stderr
+        assert "PROJ" in done.stderr
+
+
 @pytest.mark.parametrize("guarded", [True, False])
 def test_gdal_and_proj_ask_no_network(guarded):
     done = subprocess.run(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import warnings
 import zipfile
 from collections import OrderedDict
 from pathlib import Path
@@ -247,5 +248,8 @@ def test_many_names_of_the_same_bytes_take_no_memory(tmp_path: Path) -> None:
 )
 def test_tensors_of_other_kinds_are_refused(value: Any, words: str, tmp_path: Path) -> None:
     torch.save({"layer": value()}, tmp_path / "x.pt")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        content = read_checkpoint(tmp_path / "x.pt")
     with pytest.raises(StoredFileError, match=f"tensor layer {words}"):
-        state_of(network_of(read_checkpoint(tmp_path / "x.pt")))
+        state_of(network_of(content))

@@ -15,7 +15,7 @@ from skyproof.datasets.coco import Annotation, CocoWriter
 from skyproof.detectors.answers import BlackBoxDetector
 from skyproof.detectors.card import DetectorCard
 from skyproof.detectors.detector import Detections
-from skyproof.errors import ConfigurationError, ImageryError, StoredFileError
+from skyproof.errors import ConfigurationError, ImageryError, RunFolderError, StoredFileError
 from skyproof.files import finished_folder
 from skyproof.imagery.clearing.clear import clear_backgrounds, reject_tiles
 from skyproof.imagery.clearing.sheet import ContactSheet, SheetRow

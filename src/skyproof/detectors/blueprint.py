@@ -12,6 +12,7 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta
 
+from skyproof.documents import in_words
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import check_ranges
 
@@ -129,7 +130,7 @@ def check_layers(architecture: Any) -> None:
     except (msgspec.ValidationError, RecursionError) as error:
         raise ConfigurationError(
             "expected an Ultralytics architecture with rows of backbone and head "
-            f"({' '.join(str(error).split())[:200]}); give the network of a detector."
+            f"({in_words(str(error)).removeprefix(', ')[:200]}); give the network of a detector."
         ) from error
     _check_words([read.backbone, read.head, read.kpt_shape])
     *names, head = [name for _, _, name, _ in (*read.backbone, *read.head)]

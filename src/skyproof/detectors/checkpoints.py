@@ -7,6 +7,7 @@ and its author's libraries are not needed.
 """
 
 import re
+import warnings
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -62,7 +63,11 @@ def read_checkpoint(path: Path) -> Any:
         stand_ins = [
             (type(name.rpartition(".")[2], (StandIn,), {"origin": name}), name) for name in names
         ]
-        with torch.serialization.safe_globals(stand_ins):  # type: ignore[arg-type]
+        with (
+            torch.serialization.safe_globals(stand_ins),  # type: ignore[arg-type]
+            # Torch warns of kinds of tensors that are refused afterwards.
+            warnings.catch_warnings(action="ignore"),
+        ):
             return torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:
         # Damage makes unpicklers raise any exception, and advise to run the file.

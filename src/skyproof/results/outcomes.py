@@ -18,6 +18,7 @@ from jaxtyping import Int
 from msgspec import Meta
 
 from skyproof.camouflage.name import CamouflageName
+from skyproof.documents import in_words
 from skyproof.errors import StoredFileError
 from skyproof.files import write_beside
 from skyproof.ranges import Fraction, Match, Metres, Name, WholeNumber, limits_of
@@ -138,7 +139,7 @@ def read_table(
     except _UnfitTable as unfit:
         said = str(unfit)
     except msgspec.ValidationError as error:
-        reason = str(error).partition(" - at ")[0]
+        reason = in_words(str(error).partition(" - at ")[0]).partition(": ")[2]
         said = f"has a value in its column {name} that cannot be ({reason})"
     except Exception as error:
         # The readers of Parquet meet damage with many exceptions.
