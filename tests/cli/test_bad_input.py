@@ -64,7 +64,7 @@ CASES: dict[str, tuple[str, Callable[[Path], object], list[str], str]] = {
     "plain image": ("photo.png", picture, [], "--gsd"),
     "too coarse": ("photo.tif", lambda path: geotiff(path, 0.6), [], "finer imagery"),
     "too coarse by flag": ("photo.png", picture, ["--gsd", "0.6"], "check the metres per pixel"),
-    "too small": ("photo.tif", lambda path: geotiff(path, 0.125, 150), [], "larger images"),
+    "too small": ("photo.tif", lambda path: geotiff(path, 0.125, 100), [], "16.0 m on each side"),
     "too small for four splits": (
         "photo.tif",
         lambda path: geotiff(path, 0.125, 200),

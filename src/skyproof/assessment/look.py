@@ -27,6 +27,7 @@ from skyproof.imagery.tiles.georeference import system_of, to_reference_system
 from skyproof.imagery.tiles.grid import Cell, Grid, cells_of, lay_grids
 from skyproof.imagery.tiles.placed_labels import vehicle_classes
 from skyproof.imagery.tiles.sources import Source, notes_on
+from skyproof.imagery.tiles.tiling import refuse_too_few
 from skyproof.imagery.words import merged_notes
 from skyproof.results.statistics.acceptance import fewest_tiles
 from skyproof.results.statistics.planning import (
@@ -130,6 +131,7 @@ def _look_at_imagery(its: Subject, mistakes: list[SkyproofError]) -> tuple[int, 
     sources = its.inspected
     grids = lay_grids(sources, tiling, notes)
     cells = [cell for grid in grids for cell in cells_of(grid)]
+    refuse_too_few(len(cells), tiling)
     test_tiles = max(1, round(len(cells) * tiling.shares[3]))
     told = exif_words([source.exif for source in sources])
     sentences = [_imagery(sources, cells), *told, *merged_notes([*notes_on(sources), *notes])]

@@ -141,7 +141,7 @@ def tile_imagery(
             if progress is not None:
                 progress(done, len(cells))
     # Too little imagery is refused before anything else is written.
-    _refuse_too_few(len(tiles), settings)
+    refuse_too_few(len(tiles), settings)
     splits, blocks_m = assign_splits(
         [cells[tile.id] for tile in tiles], settings.split_shares, generator=generator
     )
@@ -212,12 +212,14 @@ def _cut_tile(
     return tile, rows
 
 
-def _refuse_too_few(count: int, settings: TilingSettings) -> None:
+def refuse_too_few(count: int, settings: TilingSettings) -> None:
+    """Refuses imagery that yields no tile, or not one for each split where tiles may shrink."""
     least_px = settings.minimum_px or settings.size_px
     if not count:
+        remedy = "" if settings.minimum_px else " or a smaller --tiling.size-px"
         raise ImageryError(
             f"No tile of {least_px * settings.gsd_m:.1f} m holds data: more than 2 % of each is "
-            "empty (nodata or beyond the border); give larger images."
+            f"empty (nodata or beyond the border); give larger images{remedy}."
         )
     splits = len(settings.split_shares)
     if settings.minimum_px is not None and count < splits:
