@@ -128,6 +128,35 @@ def test_a_finished_run_is_asked_for_a_verdict(assessed, tmp_path, skyproof: Sky
     assert added <= after.keys()
 
 
+def test_a_run_ends_with_a_report_where_no_detector_can_be_accepted(
+    assessed, tmp_path, skyproof: Skyproof
+):
+    folder = tmp_path / "run"
+    shutil.copytree(assessed / "run", folder)
+    for name in ("scores", "camouflages"):
+        shutil.rmtree(folder / name)
+    for name in ("results.json", "report.html"):
+        (folder / name).unlink()
+    place = folder / "detectors/retinanet/precheck.json"
+    record = json.loads(place.read_text())
+    record["rates"][0] |= {"easr": 0.9, "easr_low": 0.8, "easr_high": 0.95}
+    place.write_text(json.dumps(record))
+    call = ("assess", assessed / "mine", "--out", folder, "--device", "cpu")
+    asked = ("--accept", 0.5, "--reject", 0.9, "--producer-risk", 0.3, "--consumer-risk", 0.3)
+    # The same command does not go beyond the report.
+    for _ in range(2):
+        ended = skyproof(*call, *asked)
+        assert ended.code == 0
+        assert "judge the prechecks" in ended.out
+        assert "RetinaNet: no verdict, because it failed the precheck: 1 of 27" in ended.out
+        assert "give the same command with --go-on" in ended.out
+        assert f"Report: {folder.resolve() / 'report.html'}" in ended.out
+        assert "attack T-U" not in ended.out
+    verdict = json.loads((folder / "verdict.json").read_text())
+    assert verdict["suite"] == "incomplete"
+    assert "finished" not in json.loads((folder / "environment.json").read_text())
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [

@@ -98,11 +98,12 @@ def _write_check(folder: Path) -> None:
     card = read_card(folder)
     some = Interval(0.5, 0.25, 0.75)
     check = Baseline("retinanet", "renders", 2, 2, False, some, "places", 2, 0.5, some, some, 0.5)
-    rates = [Rate("paint_body", "#ff8000", 1, some), Rate("blur", "0.4 px", 1, some)]
+    rates = [Rate("paint_body", "#ff8000", 1, some, (1, 0)), Rate("blur", "0.4 px", 1, some)]
     on = MeasuredOn(2, "", ("procedural",), 1, 0)
     # The one that it came with tells of more.
     (folder / PRECHECK_FILE).unlink()
-    record = PrecheckRecord("retinanet", card.weights_sha256, card.threshold, on, [check], rates)
+    known = ("retinanet", card.weights_sha256, card.threshold, on)
+    record = PrecheckRecord(*known, [check], rates, (2, 1))
     write_precheck(folder, record)
 
 

@@ -200,7 +200,8 @@ def test_a_record_is_read_as_it_was_written(records, tmp_path):
         {"sets": []},
         {"threshold": 2.0},
         {"rates": [PAINT]},
-        {"found_by_tile": [1, 1]},
+        {"found_by_tile": [2, 2]},
+        {"found_by_tile": [2, 2, 2, 2]},
         {"found_by_tile": [2, 2, 0], "rates": [{**PAINT, "name": "#ffff00", **LOST}]},
     ],
 )

@@ -102,7 +102,7 @@ def checked(
         for colour in LATTICE:
             name = f"#{bytes(colour).hex()}"
             easr = hidden.get((kind, name), nothing)
-            lost = (round(5 * (easr.estimate + found_instead)),) * tiles
+            lost = (max(round(5 * (easr.estimate + found_instead)), 0),) * tiles
             rates.append(Rate(kind, name, 1, easr, lost))
     rates += [Rate("blur", "0.7 px", 1, nothing), Rate("control", "R-U", 5, nothing)]
     sets = [clean("rendered scenes", 0.97, 0.98), clean("KIT", 0.47, 0.9, real=True)]

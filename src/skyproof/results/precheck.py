@@ -5,6 +5,7 @@ with few vehicles does not fail a detector by chance. In between it is borderlin
 """
 
 import math
+import operator
 import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -186,10 +187,10 @@ def read_precheck(folder: Path) -> PrecheckRecord:
                 f"{path} names a paint {row.name[:60]!r}, expected its colour such as #ff8000; "
                 f"{_REMEDY}."
             )
-        pairs = [*zip(row.lost_by_tile, stored.found_by_tile, strict=False)]
-        if len(pairs) < len(row.lost_by_tile) or any(lost > found for lost, found in pairs):
+        lost, found = row.lost_by_tile, stored.found_by_tile
+        if lost and (len(lost) != len(found) or any(map(operator.gt, lost, found))):
             raise StoredFileError(
-                f"{path} counts more vehicles lost in the paint {row.name} than were found; "
+                f"{path} counts other vehicles lost in the paint {row.name} than were found; "
                 f"{_REMEDY}."
             )
     return PrecheckRecord(
