@@ -1,9 +1,11 @@
 """`assess` looks at imagery, labels and checkpoint before it makes anything."""
 
 import json
+import re
 import shutil
 from functools import partial
 
+import numpy as np
 import pytest
 import torch
 from PIL import Image
@@ -32,7 +34,8 @@ def photographs(tmp_path):
     folder.mkdir()
     (folder / "town.names").write_text("car\nbus\n")
     for number in range(4):
-        Image.fromarray(noise(600, 600).transpose(1, 2, 0)).save(folder / f"{number}.png")
+        ground = np.random.default_rng(number).permuted(noise(600, 600), axis=1)
+        Image.fromarray(ground.transpose(1, 2, 0)).save(folder / f"{number}.png")
         lines = [
             f"0 {0.05 + 0.09 * place} 0.3 {CAR_PX[place % 2] / 600} {CAR_PX[1 - place % 2] / 600}"
             for place in range(10)
@@ -50,10 +53,29 @@ def call(photographs, tmp_path):
 def test_a_plan_says_what_the_imagery_holds(call, tmp_path, skyproof: Skyproof):
     answer = skyproof(*call, "--gsd", 0.125, "--plan")
     assert answer.code == 0, answer.err
-    first, second, *_ = answer.out.splitlines()
+    first, places, second, *_ = answer.out.splitlines()
+    assert places == "4 images without georeference show 4 distinct places"
     assert first.startswith("4 images of 75 x 75 m at 12.5 cm per pixel, 0 of them on a map: about")
     assert second == "40 labelled vehicles, the median is 4.5 m long (a car is about 4.5 m)"
     assert not (tmp_path / "run").exists()
+
+
+def test_ground_that_several_photographs_show_counts_once(
+    photographs, tmp_path, skyproof: Skyproof
+):
+    """Copies are no more ground for a test than one photograph."""
+    call = ["assess", "retinanet", "--gsd", 0.125, "--plan", "--out", tmp_path / "run"]
+    tiles = []
+    for copies in (1, 4):
+        folder = tmp_path / f"{copies} copies"
+        folder.mkdir()
+        for number in range(copies):
+            shutil.copy(photographs / "0.png", folder / f"{number}.png")
+        answer = skyproof(*call, "--imagery", folder)
+        assert answer.code == 0, answer.err
+        tiles.append(re.search(r"about (\d+) tiles? of .+ m, which cover (\d+)\s%", answer.out)[0])
+    assert tiles[0] == tiles[1]
+    assert "4 images without georeference show 1 distinct place\n" in answer.out
 
 
 @pytest.mark.parametrize(("gsd_m", "length_m"), [(0.25, "9.0"), (0.06, "2.2")])

@@ -5,7 +5,8 @@ import torch
 
 from skyproof.errors import ConfigurationError
 from skyproof.imagery.settings import TilingSettings
-from skyproof.imagery.tiles.grid import Cell, assign_splits
+from skyproof.imagery.tiles.blocks import assign_splits
+from skyproof.imagery.tiles.grid import Cell
 from skyproof.scenes.splits import SPLITS
 
 

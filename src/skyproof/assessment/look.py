@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from statistics import median
+
+from shapely import Polygon, box, union_all
 
 from skyproof.assessment.judging import refuse_few_tiles
 from skyproof.assessment.preparing import tiling_of
@@ -20,7 +23,6 @@ from skyproof.detectors.loaded import load_detector
 from skyproof.errors import ImageryError, SkyproofError
 from skyproof.files import refuse_unwritable
 from skyproof.imagery.exif import exif_words
-from skyproof.imagery.labels.files import read_labels
 from skyproof.imagery.labels.label import GroundLabels, Labels
 from skyproof.imagery.settings import LabelSettings
 from skyproof.imagery.tiles.georeference import system_of, to_reference_system
@@ -28,6 +30,7 @@ from skyproof.imagery.tiles.grid import Cell, Grid, cells_of, lay_grids
 from skyproof.imagery.tiles.placed_labels import vehicle_classes
 from skyproof.imagery.tiles.sources import Source, notes_on
 from skyproof.imagery.tiles.tiling import refuse_too_few
+from skyproof.imagery.tiles.whole_cells import corners_of
 from skyproof.imagery.words import merged_notes
 from skyproof.results.statistics.acceptance import fewest_tiles
 from skyproof.results.statistics.planning import (
@@ -136,10 +139,9 @@ def _look_at_imagery(its: Subject, mistakes: list[SkyproofError]) -> tuple[int, 
     told = exif_words([source.exif for source in sources])
     sentences = [_imagery(sources, cells), *told, *merged_notes([*notes_on(sources), *notes])]
     with _noted(mistakes):
-        if request.labels is not None:
+        if its.labels is not None:
             settings = LabelSettings(request.labels, request.label_classes)
-            labels = read_labels(request.labels, request.label_classes)
-            sentences += [_labels(labels, settings, sources, grids, its), *labels.notes]
+            sentences += [_labels(its.labels, settings, sources, grids, its), *its.labels.notes]
     with _noted(mistakes):
         if request.requirement is not None:
             said = f"The imagery holds at most {test_tiles} test tiles"
@@ -160,13 +162,25 @@ def _imagery(sources: Sequence[Source], cells: Sequence[Cell]) -> str:
     placed = sum(source.georeference.crs is not None for source in sources)
     widths, heights = zip(*sides_m, strict=True)
     tiles_m = [cell.side_m for cell in cells]
-    used = sum(side_m**2 for side_m in tiles_m) / sum(w * h for w, h in sides_m)
+    used = sum(side_m**2 for side_m in tiles_m) / _ground_m2(sources)
     return (
         f"{counted(len(sources), 'image')} of {span(min(widths), max(widths))} x "
         f"{span(min(heights), max(heights))} m at {span(finest, coarsest, 1)} cm per pixel, "
         f"{placed} of them on a map: about {counted(len(cells), 'tile')} of "
-        f"{span(min(tiles_m), max(tiles_m))} m, which cover {percent(min(used, 1.0))} of them"
+        f"{span(min(tiles_m), max(tiles_m))} m, which cover {percent(min(used, 1.0))} of the ground"
     )
+
+
+def _ground_m2(sources: Sequence[Source]) -> float:
+    """Adds up the ground of images; what several photographs show counts once."""
+    shown = defaultdict[str, list[Polygon]](list)
+    for source in sources:
+        across_m, down_m = source.georeference.gsd_m
+        outline = Polygon(corners_of(source))
+        if source.georeference.plane is None:
+            outline = box(0, 0, source.width_px * across_m, source.height_px * down_m)
+        shown[source.georeference.plane or str(source.path)].append(outline)
+    return sum(union_all(outlines).area for outlines in shown.values())
 
 
 def _labels(

@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 import torch
@@ -18,6 +19,7 @@ from skyproof.assessment.suite import Suite, side_px
 from skyproof.attacks.world import World
 from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.palette import ground_palette
+from skyproof.console import stage_bars
 from skyproof.detectors.answers import BlackBoxDetector
 from skyproof.detectors.card import (
     REFERENCE_DETECTORS,
@@ -28,11 +30,13 @@ from skyproof.detectors.card import (
 from skyproof.detectors.detector import Detector, TrainableDetector
 from skyproof.detectors.loaded import load_detector, load_ensemble
 from skyproof.device import choose_device
-from skyproof.errors import ConfigurationError
+from skyproof.errors import ConfigurationError, SkyproofError
 from skyproof.files import file_digest
-from skyproof.imagery.labels.files import label_files
+from skyproof.imagery.labels.files import label_files, read_labels
+from skyproof.imagery.labels.label import Labels
 from skyproof.imagery.settings import SourceSettings
-from skyproof.imagery.tiles.sources import Source, inspect_sources
+from skyproof.imagery.tiles.planes import inspect_imagery
+from skyproof.imagery.tiles.sources import Source
 from skyproof.layout import Layout
 from skyproof.maite.models import ModelDetector, is_maite_model
 from skyproof.results.statistics.acceptance import Requirement, fewest_tiles
@@ -66,9 +70,21 @@ class Subject:
         return SourceSettings(gsd_m=self.request.gsd)
 
     @cached_property
+    def labels(self) -> Labels | None:
+        """The labels of the imagery."""
+        path, classes = self.request.labels, self.request.label_classes
+        return None if path is None else read_labels(path, classes)
+
+    @cached_property
     def inspected(self) -> list[Source]:
-        """The images of the imagery."""
-        return inspect_sources(self.request.imagery, self.source_settings)
+        """The images of the imagery, laid in planes where they show the same ground."""
+        labels = None
+        with suppress(SkyproofError):
+            # Their own mistakes are told where labels are used.
+            labels = self.labels
+        with stage_bars("images") as update:
+            comparing = partial(update, "compared")
+            return inspect_imagery(self.request.imagery, self.source_settings, labels, comparing)
 
     @property
     def layout(self) -> Layout:

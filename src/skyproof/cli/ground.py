@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tyro.conf import Positional, Suppress
 
-from skyproof.console import progress_bar, say
+from skyproof.console import progress_bar, say, stage_bars
 from skyproof.errors import ConfigurationError
 from skyproof.files import finished_folder
 from skyproof.imagery.settings import LabelSettings, SourceSettings, TilingSettings
@@ -92,11 +93,16 @@ class Ground:
 
     def _cut(self, folder: Path, inspected: Sequence[Source] | None) -> TilingRecord:
         from skyproof.imagery.labels.files import read_labels
+        from skyproof.imagery.tiles.planes import inspect_imagery
         from skyproof.imagery.tiles.tiling import tile_imagery
         from skyproof.randomness import generator_of
 
         path = self.labels.path
         labels = None if path is None else (read_labels(path, self.labels.classes), self.labels)
+        if inspected is None:
+            with stage_bars("images") as update_stage:
+                comparing, read = partial(update_stage, "compared"), labels and labels[0]
+                inspected = inspect_imagery(self.sources, self.source, read, comparing)
         with progress_bar("ground tiles") as update:
             return tile_imagery(
                 self.sources,

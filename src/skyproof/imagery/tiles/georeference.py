@@ -37,12 +37,14 @@ DEGREES = CRS.from_epsg(4326)
 class Georeference:
     """The place of an image: pixels (column, row) to coordinates, and metres per column and row.
 
-    Without a system it has a grid of its own, x right and y up from its top-left corner, in metres.
+    Without a system it has a grid of its own, x right and y up from its top-left corner, in metres,
+    or lies in the `plane` of all images that show the same ground.
     """
 
     crs: CRS | None
     transform: Affine
     gsd_m: tuple[float, float]
+    plane: str | None = None
 
 
 def to_reference_system(

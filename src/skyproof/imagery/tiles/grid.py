@@ -1,13 +1,11 @@
-"""Lays the grids that tiles are cut on, and divides their cells among the splits."""
+"""Lays the grids that tiles are cut on."""
 
 import math
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-import torch
 from affine import Affine
 from rasterio.crs import CRS
 from scipy.sparse.csgraph import connected_components
@@ -21,10 +19,10 @@ from skyproof.imagery.tiles.georeference import (
     to_reference_system,
 )
 from skyproof.imagery.tiles.sources import Source
+from skyproof.imagery.tiles.whole_cells import Corners, corners_of, shown_whole
 from skyproof.ranges import is_name
 from skyproof.scenes.backgrounds import room_to_turn_rad
-from skyproof.scenes.splits import Split
-from skyproof.words import named, span
+from skyproof.words import counted, named, span
 
 FULL_SHARE = 0.98
 NEARLY = 0.95
@@ -33,16 +31,16 @@ MOST_CELLS = 500_000
 """Tiles of one grid, as many as a thousand square kilometres have at the usual size."""
 GLOBAL_FROM_TILES = 8
 SHRINK = 0.8
-WANTED_BLOCKS = 24
-WIDEST_BLOCK_M = 400.0
+MOST_CORNERS = 32
+"""Photographs of a plane whose corners are tried as that of the grid."""
 
 BlockKey = tuple[str, int, int]
 
 Extent = tuple[float, float, float, float]
 """Left, bottom, right, top in a grid's metres."""
 
-_Layout = tuple[str, CRS | None, dict[int, Extent]]
-"""Name, system and extents of a grid."""
+_Layout = tuple[str, CRS | None, dict[int, Extent], dict[int, Corners]]
+"""Name, system, extents and, in a plane of photographs, corners of a grid."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +63,7 @@ class Cell:
     @property
     def plane(self) -> str:
         """The name of the system of its coordinates."""
-        return f"source {self.sources[0]}" if self.crs is None else self.crs.to_string()
+        return f"plane of {self.block[0]}" if self.crs is None else self.crs.to_string()
 
     @property
     def side_m(self) -> float:
@@ -83,7 +81,10 @@ class Cell:
 
 @dataclass(frozen=True)
 class Grid:
-    """A grid in true metres from the north-west corner of cell (0, 0), over numbered sources."""
+    """A grid in true metres from the north-west corner of cell (0, 0), over numbered sources.
+
+    Photographs in one plane have `corners`: each cell comes whole from one of them.
+    """
 
     name: str
     crs: CRS | None
@@ -92,6 +93,7 @@ class Grid:
     size_px: int
     gsd_m: float
     extents: Mapping[int, Extent]
+    corners: Mapping[int, Corners] = field(default_factory=dict)
 
     @property
     def side_m(self) -> float:
@@ -112,6 +114,8 @@ class Grid:
 
     def whole_cells(self) -> int:
         """Counts the cells that single sources fill, or else those that all fill together."""
+        if self.corners:
+            return len(self.filled)
         ranges = [self.places(extent, whole=True) for extent in self.extents.values()]
         alone = sum(len(columns) * len(rows) for columns, rows in ranges)
         return alone or len(self.filled)
@@ -127,6 +131,9 @@ class Grid:
                 f"px, more than {MOST_CELLS:,}; give fewer or smaller images, or larger tiles "
                 "(--tiling.size-px)."
             )
+        if self.corners:
+            corner, slack_m = (self.left_m, self.top_m), 0.5 * self.gsd_m
+            return shown_whole(self.corners, places, corner, self.side_m, slack_m)
         side_m = self.side_m
         seen: dict[tuple[int, int], list[int]] = {}
         covered: dict[tuple[int, int], float] = {}
@@ -173,6 +180,12 @@ def lay_grids(sources: Sequence[Source], settings: TilingSettings, notes: list[s
     such cell, or all sources together too few, they shrink on to those that use most ground.
     """
     layouts = [_layout(sources, group) for group in _groups(sources)]
+    alone = sum(source.georeference.crs is None for source in sources)
+    if alone > 1:
+        places = sum(crs is None for _, crs, *_ in layouts)
+        notes.append(
+            f"{alone} images without georeference show {counted(places, 'distinct place')}"
+        )
     size, gsd_m = settings.size_px, settings.gsd_m
     wanted = len(settings.split_shares)
     while True:
@@ -228,6 +241,7 @@ def _grid(
     name: str,
     crs: CRS | None,
     extents: Mapping[int, Extent],
+    corners: Mapping[int, Corners],
     size_px: int,
     minimum_px: int,
     gsd_m: float,
@@ -236,10 +250,25 @@ def _grid(
     while True:
         narrow = min(right - left, top - bottom) < GLOBAL_FROM_TILES * size_px * gsd_m
         corner = (left, top) if crs is None or narrow else (0.0, 0.0)
-        grid = Grid(name, crs, *corner, size_px, gsd_m, extents)
+        grid = Grid(name, crs, *corner, size_px, gsd_m, extents, corners)
+        if corners:
+            grid = max(_from_corners(grid), key=Grid.whole_cells)
         if size_px <= minimum_px or grid.whole_cells():
             return grid
         size_px = max(minimum_px, round(size_px * SHRINK))
+
+
+def _from_corners(grid: Grid) -> Iterator[Grid]:
+    """Yields the grid from the corners of its photographs, so that it has the cells of any alone.
+
+    Cell (0, 0) stays at the north-west of all of them.
+    """
+    side_m, extents = grid.side_m, [*grid.extents.values()]
+    left, _, _, top = around(extents)
+    for its_left, _, _, its_top in extents[:: math.ceil(len(extents) / MOST_CORNERS)]:
+        columns, rows = math.ceil((its_left - left) / side_m), math.ceil((top - its_top) / side_m)
+        corner = its_left - columns * side_m, its_top + rows * side_m
+        yield replace(grid, left_m=corner[0], top_m=corner[1])
 
 
 def _shrunk(grid: Grid, layout: _Layout, least_px: int, *, few: bool) -> Grid:
@@ -269,18 +298,23 @@ def _layout(sources: Sequence[Source], group: Sequence[int]) -> _Layout:
     first = sources[group[0]]
     crs = first.georeference.crs
     if crs is None:
-        return first.path.stem, None, {group[0]: extent_of(first, None)}
+        extents = {i: extent_of(sources[i], None) for i in group}
+        shared = {i: corners_of(sources[i]) for i in group} if len(group) > 1 else {}
+        return first.path.stem, None, extents, shared
     middle = first.georeference.transform * (first.width_px / 2, first.height_px / 2)
     code = crs.to_epsg() if is_true_to_scale(crs, middle) else None
     if code is None:
         longitude, latitude = to_reference_system(crs, DEGREES, [middle])[0]
         code = (32600 if latitude >= 0 else 32700) + min(60, int((longitude + 180) // 6) + 1)
     system = CRS.from_epsg(code)
-    return f"epsg{code}", system, {i: extent_of(sources[i], system) for i in group}
+    return f"epsg{code}", system, {i: extent_of(sources[i], system) for i in group}, {}
 
 
 def _groups(sources: Sequence[Source]) -> list[list[int]]:
-    """Groups the numbers of sources whose extents in degrees touch, directly or through others."""
+    """Groups the numbers of sources that touch, directly or through others, or share a plane.
+
+    Georeferenced ones touch by their extents in degrees.
+    """
     placed = [i for i, source in enumerate(sources) if source.georeference.crs is not None]
     extents = np.array([extent_of(sources[i], DEGREES) for i in placed]).reshape(-1, 4)
     low, high = extents[:, :2], extents[:, 2:]
@@ -289,6 +323,11 @@ def _groups(sources: Sequence[Source]) -> list[list[int]]:
     touching = (low[:, None] <= high[None] + gap) & (low[None] <= high[:, None] + gap)
     pairs = np.eye(len(sources), dtype=bool)
     pairs[np.ix_(placed, placed)] |= touching.all(2)
+    planes = [source.georeference.plane for source in sources]
+    first_of = {plane: i for i, plane in reversed([*enumerate(planes)])}
+    for i, plane in enumerate(planes):
+        if plane is not None:
+            pairs[i, first_of[plane]] = True
     _, group_of = connected_components(pairs, directed=False)
     groups: dict[int, list[int]] = {}
     for i, group in enumerate(group_of):
@@ -317,41 +356,5 @@ def cells_of(grid: Grid) -> list[Cell]:
                 "the image."
             )
         place = (tile_id, grid.crs, left_m, top_m, grid.size_px, grid.gsd_m)
-        cells.append(Cell(*place, tuple(sorted(numbers)), (blocks, row, column)))
+        cells.append(Cell(*place, tuple(numbers), (blocks, row, column)))
     return cells
-
-
-def assign_splits(
-    cells: Sequence[Cell], shares: Mapping[Split, float], *, generator: torch.Generator
-) -> tuple[dict[str, Split], dict[str, float]]:
-    """Divides cells among the splits by their shares; returns the width of blocks by grid, too.
-
-    A block of about 400 m goes to one split. Its width is halved until there are 24 blocks, so that
-    the shares come out about right. Blocks are shuffled, sorted by size, the largest first, and go
-    to a split that has none, then to the one that is furthest behind its share.
-    """
-    width_m = WIDEST_BLOCK_M
-    while True:
-        sides = {cell.block[0]: max(1, round(width_m / cell.side_m)) for cell in cells}
-        blocks = {cell.id: _block(cell, sides) for cell in cells}
-        if len({*blocks.values()}) >= WANTED_BLOCKS or all(side == 1 for side in sides.values()):
-            break
-        width_m /= 2
-    sizes = Counter(blocks.values())
-    keys = list(sizes)
-    order = torch.randperm(len(keys), generator=generator).tolist()
-    given = dict.fromkeys(shares, 0)
-    split_of: dict[BlockKey, Split] = {}
-    for key in sorted((keys[i] for i in order), key=lambda key: -sizes[key]):
-        split = min(shares, key=lambda name: (given[name] > 0, given[name] / shares[name]))
-        split_of[key] = split
-        given[split] += sizes[key]
-    # Cells of one grid have one size.
-    cell_of = {cell.block[0]: cell for cell in cells}
-    widths_m = {grid: sides[grid] * one.side_m for grid, one in cell_of.items()}
-    return {cell.id: split_of[blocks[cell.id]] for cell in cells}, widths_m
-
-
-def _block(cell: Cell, sides: Mapping[str, int]) -> BlockKey:
-    grid, row, column = cell.block
-    return grid, row // sides[grid], column // sides[grid]

@@ -18,18 +18,15 @@ from skyproof.documents import read_document
 from skyproof.errors import ImageryError
 from skyproof.files import write_json
 from skyproof.imagery.drivable import drivable_directions
-from skyproof.imagery.labels.label import Labels
+from skyproof.imagery.labels.label import ImageLabels, Labels
 from skyproof.imagery.photographs import lit_tiles, measure_sensor, some_of, sun_over
 from skyproof.imagery.settings import LabelSettings, SourceSettings, TilingSettings
+from skyproof.imagery.tiles.blocks import assign_splits
 from skyproof.imagery.tiles.georeference import DEGREES, outline, to_reference_system
-from skyproof.imagery.tiles.grid import Cell, assign_splits, cells_of, lay_grids
+from skyproof.imagery.tiles.grid import Cell, cells_of, lay_grids
 from skyproof.imagery.tiles.placed_labels import PlacedLabels
-from skyproof.imagery.tiles.sources import (
-    Source,
-    SourceReader,
-    inspect_sources,
-    notes_on,
-)
+from skyproof.imagery.tiles.planes import inspect_imagery
+from skyproof.imagery.tiles.sources import Source, SourceReader, notes_on
 from skyproof.imagery.tiles.warp import CellImage, read_cell
 from skyproof.ranges import Coordinate, FileReference, Name
 from skyproof.scenes.background_index import BackgroundTile, save_map, save_tile, write_index
@@ -107,9 +104,9 @@ def tile_imagery(
 
     Use `finished_folder` around it. Sources are read window by window: memory does not grow with
     them. The ground is cut into cells (`lay_grids`), a cell becomes a tile if sources show 98 % of
-    it (`read_cell`), and blocks of cells go to the splits (`assign_splits`). Every place of
-    georeferenced sources lies in one cell, so in one split. Images without georeference that show
-    the same ground, such as frames of a flight, may share it between splits. Vehicles are later
+    it (`read_cell`), and blocks of cells go to the splits (`assign_splits`). Every place lies in
+    one cell, so in one split, if images without georeference that show it are recognised
+    (`share_planes`). Vehicles are later
     drawn as sharp (`measure_sensor`) and as bright (`measure_exposure`) as the tiles. `labels` come
     with their vehicle classes, `sources` are the images of `paths` if they were inspected before,
     and `progress` gets (cells done, cells in all).
@@ -123,11 +120,12 @@ def tile_imagery(
     source_settings = source_settings or SourceSettings()
     tiles: list[BackgroundTile] = []
     annotations: dict[str, list[Annotation]] = {}
-    sources = sources or inspect_sources(paths, source_settings)
+    sources = sources or inspect_imagery(paths, source_settings, labels and labels[0])
     with SourceReader() as reader:
         notes = notes_on(sources)
         grids = lay_grids(sources, settings, notes)
-        cells = {cell.id: cell for grid in grids for cell in cells_of(grid)}
+        every = (cell for grid in grids for cell in cells_of(grid))
+        cells = {cell.id: _labelled_first(cell, sources, labels and labels[0]) for cell in every}
         # An impossible time is refused before anything is cut.
         taken = source_settings.taken
         suns = {name: sun_over(cell, taken) for name, cell in cells.items() if taken}
@@ -172,6 +170,14 @@ def tile_imagery(
     # The index comes last: a folder with one is whole.
     write_index(folder, settings.gsd_m, tiles, sensor)
     return record
+
+
+def _labelled_first(cell: Cell, sources: Sequence[Source], labels: Labels | None) -> Cell:
+    """Cuts a cell of several photographs from one that was labelled, if there is any."""
+    if cell.crs is not None or not isinstance(labels, ImageLabels):
+        return cell
+    order = sorted(cell.sources, key=lambda i: sources[i].path.stem not in labels.images)
+    return dataclasses.replace(cell, sources=tuple(order))
 
 
 def _cut_tile(
