@@ -124,8 +124,11 @@ def test_the_image_of_a_voc_file_has_its_name_or_the_one_inside(tmp_path):
     text = voc(voc_object(), filename=r"C:\photos\other.jpg")
     written(tmp_path / "one.xml", text)
     assert [*read_labels(tmp_path).images] == ["other"]
+    written(tmp_path / "two.xml", text)
+    assert [*read_labels(tmp_path).images] == ["one", "two"]
+    written(tmp_path / "two.xml", voc(filename="elsewhere.jpg"))
     picture(tmp_path / "one.jpg")
-    assert [*read_labels(tmp_path).images] == ["one"]
+    assert [*read_labels(tmp_path).images] == ["one", "elsewhere"]
 
 
 def test_voc_boxes_are_cut_and_told_twice(tmp_path):

@@ -1,5 +1,6 @@
 """Reads labels as Pascal VOC XML."""
 
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path, PureWindowsPath
 from xml.etree.ElementTree import Element, ParseError
@@ -44,13 +45,14 @@ def read_voc_labels(folder: Path, files: list[tuple[Path, Element]]) -> ImageLab
     """Reads objects with an upright box; difficult ones become ignore regions.
 
     The first pixel has the number 1, and the last one lies inside the box. The image is the one of
-    the file's own name, if it is found, or else the one that the file names.
+    the file's own name, if it is found, or else the one that this file alone names.
     """
     images = LabelledImages(folder)
-    for file, root in files:
+    named = [PureWindowsPath((root.findtext("filename") or "").strip()).stem for _, root in files]
+    counts = Counter(named)
+    for (file, root), inside in zip(files, named, strict=True):
         image = image_of(file)
-        named = PureWindowsPath((root.findtext("filename") or "").strip()).stem
-        name = file.stem if image is not None or not named else named
+        name = inside if image is None and inside and counts[inside] == 1 else file.stem
         images.add_image(name, _size_px(root) or (None if image is None else image_size_px(image)))
         for number, row in enumerate(root.iterfind("object"), 1):
             where = f"{file} object {number}"
