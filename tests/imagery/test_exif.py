@@ -106,11 +106,11 @@ def test_one_sentence_tells_when_and_where():
     assert list(exif_words([Exif(), Exif()])) == []
     first = Exif(datetime(2026, 5, 3, 11, 2, 9), (27.56, 53.9))
     assert list(exif_words([first])) == [
-        "By their EXIF data, 1 of 1 images were taken 2026-05-03 11:02, at latitude 53.90 and "
+        "By their EXIF data, 1 of 1 images were taken at 2026-05-03 11:02, at latitude 53.90 and "
         "longitude 27.56"
     ]
     last = Exif(datetime(2026, 5, 3, 11, 40), (27.56, 53.94))
     assert list(exif_words([Exif(), last, first])) == [
-        "By their EXIF data, 2 of 3 images were taken 2026-05-03 11:02 to 2026-05-03 11:40, at "
+        "By their EXIF data, 2 of 3 images were taken from 2026-05-03 11:02 to 2026-05-03 11:40, at "
         "latitude 53.90 to 53.94 and longitude 27.56"
     ]

@@ -45,7 +45,7 @@ def exif_words(photographs: Sequence[Exif]) -> Iterator[str]:
     told = []
     if times:
         first, last = f"{times[0]:%Y-%m-%d %H:%M}", f"{times[-1]:%Y-%m-%d %H:%M}"
-        told.append(f"taken {first}" + (f" to {last}" if last != first else ""))
+        told.append(f"taken at {first}" if first == last else f"taken from {first} to {last}")
     if places:
         longitudes, latitudes = zip(*places, strict=True)
         told.append(

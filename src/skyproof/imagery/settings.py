@@ -73,7 +73,8 @@ class SourceSettings:
 
     Attributes:
         gsd_m: metres per pixel of images without georeference.
-        crs: reference system of images with a world file alone, such as EPSG:2193.
+        crs: reference system of images with a world file alone or a local system, such as
+            EPSG:2193.
         licence: licence of images that state none.
         taken: time of the flight with its zone, such as 2024-06-20T13:00:00+02:00. Vehicles are lit
             by the sun of that time.
