@@ -107,9 +107,9 @@ def whole_picture(
                 f"{path} has {width} x {height} px, expected are {size_px[0]} x {size_px[1]}; "
                 f"{remedy}."
             )
+        # Before the pixels are read, as for the size: a PNG may name another one behind them.
+        turn = _TURNS.get(_not_turned(picture))
         pixels = _loaded(picture, "RGB", str(path), remedy, error)
-        # Pillow's reader of TIFF turns the pixels itself, and then knows of no orientation.
-        turn = _TURNS.get(exif_orientation(picture))
         return pixels if turn is None else pixels.transpose(turn)
 
 
@@ -131,10 +131,13 @@ def exif_orientation(picture: Image.Image) -> int:
 
 def upright_size_px(picture: Image.Image) -> tuple[int, int]:
     """Returns width and height of an open picture as its EXIF orientation says."""
-    # Pillow's reader of TIFF has exchanged them.
-    quarter = picture.format != "TIFF" and exif_orientation(picture) >= 5
     width, height = picture.size
-    return (height, width) if quarter else (width, height)
+    return (height, width) if _not_turned(picture) >= 5 else (width, height)
+
+
+def _not_turned(picture: Image.Image) -> int:
+    """Returns the EXIF orientation, but 1 for TIFF, which Pillow itself turns upright."""
+    return 1 if picture.format == "TIFF" else exif_orientation(picture)
 
 
 def decoded(

@@ -111,6 +111,6 @@ def test_one_sentence_tells_when_and_where():
     ]
     last = Exif(datetime(2026, 5, 3, 11, 40), (27.56, 53.94))
     assert list(exif_words([Exif(), last, first])) == [
-        "By their EXIF data, 2 of 3 images were taken from 2026-05-03 11:02 to 2026-05-03 11:40, at "
-        "latitude 53.90 to 53.94 and longitude 27.56"
+        "By their EXIF data, 2 of 3 images were taken from 2026-05-03 11:02 to 2026-05-03 11:40, "
+        "at latitude 53.90 to 53.94 and longitude 27.56"
     ]

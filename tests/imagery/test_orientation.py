@@ -105,3 +105,24 @@ def test_georeferenced_pixels_stay_as_they_are_stored(tmp_path):
             backgrounds.pixels(one.id).numpy()
             == array[:, one.offset_px[1] :, one.offset_px[0] :][:, :64, :64]
         ).all()
+
+
+def test_an_orientation_behind_the_pixels_counts_nowhere(tmp_path):
+    exif = Image.Exif()
+    exif[274] = 6
+    array = smooth_noise(64, 128)
+    Image.fromarray(array.transpose(1, 2, 0)).save(tmp_path / "a.png", exif=exif)
+    data = (tmp_path / "a.png").read_bytes()
+    start = data.index(b"eXIf") - 4
+    end = start + 12 + int.from_bytes(data[start : start + 4], "big")
+    rest, chunk = data[:start] + data[end:], data[start:end]
+    last = rest.index(b"IEND") - 4
+    (tmp_path / "a.png").write_bytes(rest[:last] + chunk + rest[last:])
+    (tmp_path / "a.txt").write_text("0 0.25 0.25 0.1 0.1")
+    (tmp_path / "data.yaml").write_text("names: [car]")
+    frames = read_frames_folder(
+        tmp_path, gsd_m=0.125, target_gsd_m=0.125, classes=["car"], border_px=0.0
+    )
+    assert (frames.image(0).numpy() == array).all()
+    _, record = tile([tmp_path / "a.png"], tmp_path / "set", source_gsd_m=0.125)
+    assert record.sources[0]["size_px"] == [128, 64]
