@@ -60,8 +60,9 @@ class Request:
         detectors: detector folders, "retinanet" or "faster_rcnn", which are attacked together and
             tested one by one, or a single checkpoint file of Ultralytics or torchvision.
         out: run folder to write.
-        imagery: orthophotos or folders of them, as GeoTIFF, or JPEG or PNG with `--gsd`. Without
-            any, ground is drawn, and the result says nothing about your sites.
+        imagery: orthophotos of at least 24 m on each side, or folders of them, as GeoTIFF, or JPEG
+            or PNG with `--gsd`. Without any, ground is drawn, and the result says nothing about
+            your sites.
         gsd: metres per pixel of imagery that does not state it.
         labels: vehicle labels of the imagery: COCO, YOLO, DOTA or VisDrone text, Pascal VOC,
             GeoJSON, GeoPackage or Shapefile. They freeze the threshold.

@@ -101,7 +101,7 @@ def tiling_words(record: TilingRecord, *, labelled: bool) -> Iterator[str]:
         if labelled:
             what |= {"vehicles": "vehicle", "ignored": "ignore region"}
         told = ", ".join(counted(count[key], noun) for key, noun in what.items())
-        yield f"  {split:<10} {told:>7}"
+        yield f"  {split:<10} {told}"
     few = record.counts["test"]["tiles"]
     if 0 < few < _FEW_TILES:
         yield (
