@@ -106,7 +106,7 @@ def still_open(its: Subject, requirement: Requirement) -> Step:
             for name, found in checked.items()
             if found.outcome == "failed"
         ]
-        scored = any(layout.scores.glob("*/score.json"))
+        scored = any(layout.scores.glob("[!.]*/score.json"))
         if len(failed) == len(checked) and not its.request.go_on and not scored:
             write_report(layout.folder, requirement)
             raise RunEnded(
