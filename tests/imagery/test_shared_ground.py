@@ -2,6 +2,7 @@
 
 import itertools
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from PIL import Image
 from scipy import ndimage
 
 from skyproof.datasets.dataset import Dataset
+from skyproof.imagery.exif import Exif
 from skyproof.imagery.labels.files import read_labels
 from skyproof.imagery.labels.label import ImageLabels
 from skyproof.imagery.settings import LabelSettings, SourceSettings, TilingSettings
@@ -282,6 +284,20 @@ def test_the_images_of_a_long_flight_are_compared_with_their_neighbours(tmp_path
     planes_of = [source.georeference.plane for source in sources]
     assert planes_of == ["000", "000", "002", "002", None]
     assert all(one.notes[-1].startswith("compared with the 2 before and") for one in sources)
+
+
+@pytest.mark.parametrize(("north_deg", "together"), [(53.001, True), (53.05, False)])
+def test_cameras_that_stood_far_apart_saw_other_ground(tmp_path, north_deg, together):
+    ground = coordinates(STRIP_PX)
+    sources = []
+    for number, degrees in enumerate([53.0, north_deg]):
+        one = photograph(ground, 0, 450 + 450j, 1, 360)
+        path = tmp_path / f"{number}.png"
+        one.image.save(path)
+        (source,) = inspect_imagery([path], GIVEN)
+        sources.append(replace(source, exif=Exif(place=(27.5, degrees))))
+    planes_of = {plane_of(source) for source in planes.share_planes(sources)}
+    assert len(planes_of) == (1 if together else 2)
 
 
 @pytest.mark.data

@@ -124,7 +124,8 @@ def _coarse_view(
     grey, usable = _upright(grey, source.stored), _upright(usable, source.stored)
     if isinstance(labels, ImageLabels):
         usable = usable & ~_labelled(source, labels, usable.shape)
-    return CoarseView.of(grey, usable, pixel_m)
+    view = CoarseView.of(grey, usable, pixel_m)
+    return dataclasses.replace(view, stood=source.exif.place)
 
 
 def _upright(stored: NDArray[_Value], transform: Affine) -> NDArray[_Value]:

@@ -1,5 +1,6 @@
 """Recognises photographs that show the same ground, by points and by their whole overlap."""
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -40,6 +41,10 @@ MOST_NEIGHBOURS = 250
 Frames of a flight lie beside each other in the order of their names.
 """
 
+METRES_PER_DEGREE = 111_000.0
+OBLIQUE_M = 200.0
+"""How far beside its ground a camera may stand, with the error of its receiver."""
+
 _AT_ONCE = 32
 
 
@@ -51,12 +56,14 @@ class CoarseView:
         details: its light and dark spots without their brightness, `[H, W]`, 0 where not usable.
         usable: pixels with data and without labelled vehicles, `[H, W]`.
         pixel_m: metres per pixel.
+        stood: longitude and latitude of the camera in degrees, if it is known.
     """
 
     details: NDArray[np.float32]
     usable: NDArray[np.bool_]
     pixel_m: float
     keypoints: Keypoints
+    stood: tuple[float, float] | None = None
 
     @classmethod
     def of(
@@ -104,6 +111,8 @@ def find_pairs(
         known = group[first] == group[second]
         if known and min(degree[first], degree[second]) >= ENOUGH_PAIRS:
             continue
+        if _far_apart(views[first], views[second]):
+            continue
         pair = _compared(views[first], views[second], matches)
         if pair is not None:
             found.append(pair)
@@ -112,6 +121,17 @@ def find_pairs(
             old, new = group[second], group[first]
             group = [new if each == old else each for each in group]
     return found
+
+
+def _far_apart(one: CoarseView, other: CoarseView) -> bool:
+    """Tells whether the cameras stood too far apart to see the same ground."""
+    if one.stood is None or other.stood is None:
+        return False
+    (east, north), (its_east, its_north) = one.stood, other.stood
+    squeeze = math.cos(math.radians(north))
+    apart_m = METRES_PER_DEGREE * math.hypot((east - its_east) * squeeze, north - its_north)
+    diagonals_m = sum(math.hypot(*view.usable.shape) * view.pixel_m for view in (one, other))
+    return apart_m > OBLIQUE_M + diagonals_m
 
 
 @dataclass(frozen=True)
