@@ -4,6 +4,7 @@ import json
 import math
 import re
 import shutil
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +15,7 @@ from PIL import Image
 from skyproof.datasets.coco import Annotation, CocoWriter
 from skyproof.detectors.answers import BlackBoxDetector
 from skyproof.detectors.card import DetectorCard
-from skyproof.detectors.detector import Detections
+from skyproof.detectors.detector import Detections, TrainableDetector
 from skyproof.errors import ConfigurationError, ImageryError, RunFolderError, StoredFileError
 from skyproof.files import finished_folder
 from skyproof.imagery.clearing.clear import clear_backgrounds, reject_tiles
@@ -478,3 +479,38 @@ def test_dropped_tiles_leave_the_annotations_too(tmp_path):
         rows = [row for row in before[split]["annotations"] if row["image_id"] in ids]
         after = json.loads((folder / split / "annotations.json").read_text())
         assert after == before[split] | {"images": kept, "annotations": rows}
+
+
+class Network(Reds, TrainableDetector):
+    def __init__(self):
+        TrainableDetector.__init__(self)
+        Reds.__init__(self)
+        self.set_card(DetectorCard("reds", threshold=0.5, gsd_m=0.125))
+
+
+@pytest.fixture
+def two_threads():
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    yield
+    torch.set_num_threads(before)
+
+
+def test_two_tiles_are_cleared_at_a_time_as_one_after_the_other(tmp_path, two_threads):
+    folder = tiled(tmp_path / "tiled")
+    _, expected = cleared(folder, tmp_path, finder=finder(), checker=finder())
+    shutil.move(tmp_path / "cleared", tmp_path / "alone")
+    both = threading.Barrier(2, timeout=20)
+
+    def fill(image, mask):
+        both.wait()
+        return ground(image, mask)
+
+    network = VehicleFinder(Network(), "reds")
+    _, record = cleared(folder, tmp_path, fill=fill, finder=network, checker=network)
+    assert record == expected
+    files = [path for path in (tmp_path / "alone").rglob("*") if path.is_file()]
+    assert len(files) > 5
+    for path in files:
+        other = tmp_path / "cleared" / path.relative_to(tmp_path / "alone")
+        assert other.read_bytes() == path.read_bytes(), path

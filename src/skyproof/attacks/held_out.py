@@ -15,7 +15,7 @@ from skyproof.camouflage.camouflage import Camouflage
 from skyproof.detectors.detector import Detector, TrainableDetector
 from skyproof.detectors.inference import device_of
 from skyproof.errors import ConfigurationError
-from skyproof.render.dataset import in_threads
+from skyproof.render.dataset import AT_A_TIME, in_threads
 from skyproof.scenes.scene import Scene
 
 BATCHES = 8
@@ -119,5 +119,5 @@ def at_a_time(
     networks = all(isinstance(each, TrainableDetector) for each in detectors)
     if not networks or device_of(detectors[0]).type != "cpu":
         return [work(item) for item in items]
-    with in_threads(work, items, torch.get_num_threads()) as results:
+    with in_threads(work, items, min(torch.get_num_threads(), AT_A_TIME)) as results:
         return list(results)

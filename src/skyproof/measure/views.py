@@ -18,7 +18,7 @@ from skyproof.detectors.inference import detect_by_each
 from skyproof.detectors.matching import MatchTable, match_images
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import Match
-from skyproof.render.dataset import in_threads, placed_vehicles
+from skyproof.render.dataset import AT_A_TIME, in_threads, placed_vehicles
 from skyproof.render.frames import Frames, Renderer
 from skyproof.render.renderer import TorchRenderer
 from skyproof.results.outcomes import ORIGINAL
@@ -187,7 +187,8 @@ def _render_and_detect(
     threads = torch.get_num_threads()
     several = stage.renderer.concurrent and torch.device(stage.device).type == "cpu"
     trainable = several and all(isinstance(each, TrainableDetector) for each in detectors)
-    with in_threads(draw_and_look, batches, threads if several else 1) as drawn:
+    count = min(threads, AT_A_TIME) if trainable else threads if several else 1
+    with in_threads(draw_and_look, batches, count) as drawn:
         if not trainable:
             # Rendering is done ahead, so most of the time the detectors have the cores alone.
             torch.set_num_threads(threads)

@@ -22,6 +22,9 @@ from skyproof.storage import tensors_digest
 from skyproof.vehicles.fleet import Fleet
 from skyproof.vehicles.vehicle import VehicleBatch
 
+AT_A_TIME = 4
+"""Most batches that networks see at a time, which bounds the memory of their activations."""
+
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
@@ -118,12 +121,13 @@ def in_threads(
 ) -> Iterator[Iterator[Result]]:
     """Yields the results of work in order, from threads that work ahead.
 
-    Two threads on one batch of small operations gain little, on two batches they gain all. At most
-    one result per thread is kept in advance.
+    Two threads on one batch of small operations gain little, on two batches they gain all. Fewer
+    threads than cores share the cores. At most one result per thread is kept in advance.
     """
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
-    pool = ThreadPoolExecutor(count, initializer=torch.set_num_threads, initargs=(1,))
+    share = (max(1, threads // count),)
+    pool = ThreadPoolExecutor(count, initializer=torch.set_num_threads, initargs=share)
 
     def results() -> Iterator[Result]:
         waiting: deque[Future[Result]] = deque()
