@@ -92,8 +92,10 @@ def find_collars(
         extremes["white"] = float(np.iinfo(kind).max)
     tolerance = _LOSSY_VALUES if is_lossy(dataset) else 0
     found = []
+    # Read once and from top to bottom: a PNG is decoded up to the row that is asked for.
+    shown = [dataset.read(list(bands), window=at) for at in corners]
     for colour, value in extremes.items():
-        if any(not _differs(dataset, bands, at, value, tolerance).any() for at in corners):
+        if any(not _differs(values, value, tolerance).any() for values in shown):
             collar = _between(dataset, bands, colour, value, tolerance)
             if _share_at_corners(collar, dataset) >= _LEAST_SHARE:
                 found.append(collar)
@@ -109,11 +111,8 @@ def _share_at_corners(collar: Collar, dataset: DatasetReader) -> float:
     return float(np.isin(parts, corners[corners > 0]).mean())
 
 
-def _differs(
-    dataset: DatasetReader, bands: Sequence[int], window: Window, value: float, tolerance: int
-) -> NDArray[np.bool_]:
-    values = dataset.read(list(bands), window=window).astype(np.float32)
-    return (np.abs(values - np.float32(value)) > tolerance).any(0)
+def _differs(values: NDArray[np.generic], value: float, tolerance: int) -> NDArray[np.bool_]:
+    return (np.abs(values.astype(np.float32) - np.float32(value)) > tolerance).any(0)
 
 
 def _between(
@@ -125,7 +124,8 @@ def _between(
     step = max(1, _STRIP_PX // width)
     for top in range(0, height, step):
         count = min(step, height - top)
-        picture = _differs(dataset, bands, Window(0, top, width, count), value, tolerance)
+        values = dataset.read(list(bands), window=Window(0, top, width, count))
+        picture = _differs(values, value, tolerance)
         some = picture.any(1)
         strip = columns[:, top : top + count]
         strip[0, some] = picture.argmax(1)[some]

@@ -3,11 +3,13 @@
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from statistics import median
 from typing import TypeVar
 
 import numpy as np
+import torch
 from affine import Affine
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
@@ -66,9 +68,13 @@ def share_planes(
     progress = progress if len(alone) >= MANY else None
     usual_m = median(sources[i].smaller_side_m for i in alone) / COARSE_PX
     views = []
-    with SourceReader() as reader:
-        for number, i in enumerate(alone, 1):
-            views.append(_coarse_view(sources[i], reader, min(usual_m, COARSEST_GSD_M), labels))
+    with SourceReader() as reader, ThreadPoolExecutor(torch.get_num_threads()) as pool:
+        pixel_m = min(usual_m, COARSEST_GSD_M)
+        # Read by one thread, because files of GDAL belong to one.
+        pictures = (_coarse_picture(sources[i], reader, pixel_m, labels) for i in alone)
+        for number, view in enumerate(pool.map(lambda each: CoarseView.of(*each), pictures), 1):
+            stood = sources[alone[number - 1]].exif.place
+            views.append(dataclasses.replace(view, stood=stood))
             if progress is not None:
                 progress(number, 2 * len(alone))
     pairs = find_pairs(
@@ -104,10 +110,13 @@ def share_planes(
 _Value = TypeVar("_Value", bound=np.generic)
 
 
-def _coarse_view(
+def _coarse_picture(
     source: Source, reader: SourceReader, usual_m: float, labels: Labels | None
-) -> CoarseView:
-    """Reads a photograph at the usual scale, or coarser if it is very large or has no finer one."""
+) -> tuple[NDArray[np.float32], NDArray[np.bool_], float]:
+    """Reads a photograph at the usual scale, or coarser if it is very large or has no finer one.
+
+    Returns its brightness and usable pixels, `[H, W]`, and metres per pixel.
+    """
     gsd_m = source.georeference.gsd_m
     sides_m = source.width_px * gsd_m[0], source.height_px * gsd_m[1]
     pixel_m = max(usual_m, *gsd_m, max(sides_m) / MOST_COARSE_PX)
@@ -124,8 +133,7 @@ def _coarse_view(
     grey, usable = _upright(grey, source.stored), _upright(usable, source.stored)
     if isinstance(labels, ImageLabels):
         usable = usable & ~_labelled(source, labels, usable.shape)
-    view = CoarseView.of(grey, usable, pixel_m)
-    return dataclasses.replace(view, stood=source.exif.place)
+    return grey, usable, pixel_m
 
 
 def _upright(stored: NDArray[_Value], transform: Affine) -> NDArray[_Value]:
