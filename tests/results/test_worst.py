@@ -132,8 +132,8 @@ def test_of_many_the_strongest_is_shown_in_full(tmp_path):
     assert "<h2>What it looks like: T-U</h2>" in page
     assert "<h2>Success by condition: T-U</h2>" in page
     others = page[page.index("<h2>What the other attacks look like</h2>") :]
-    assert re.search("<h3>[^<]*T-Ma[^<]*: 25", others)
-    assert not re.search(r"<h3>[^<]*T-U\b[^<]*: ", others)
+    assert re.search("<h3>[^<]*T-Ma[^<]* hides 25", others)
+    assert not re.search(r"<h3>[^<]*T-U\b[^<]* hides ", others)
 
 
 def test_attacks_that_share_a_control_have_a_draw_of_it_each(tmp_path):
