@@ -6,6 +6,9 @@ import shapely
 
 from skyproof.errors import ImageryError
 from skyproof.imagery.labels.files import read_labels
+from skyproof.imagery.labels.label import require_classes
+from skyproof.imagery.settings import LabelSettings
+from skyproof.imagery.tiles.placed_labels import vehicle_classes
 from tests.imagery.made import features, shape, written
 
 KINDS = ["car", "tree", "car", "van"]
@@ -90,7 +93,7 @@ def test_the_wanted_classes_tell_the_field(tmp_path):
     assert names(read_labels(path, ["fid=3"]))[2] == "fid=3"
 
 
-@pytest.mark.parametrize("wanted", [(), ("lorry",), ("nothing=car",)])
+@pytest.mark.parametrize("wanted", [(), ("lorry",)])
 def test_an_unknown_field_is_asked_for(tmp_path, wanted):
     document = objects(kind=KINDS, owner=["A", "B", "C", "D"], fid=[1, 2, 3, 4])
     path = written(tmp_path / "x.geojson", document)
@@ -103,6 +106,56 @@ def test_an_unknown_field_is_asked_for(tmp_path, wanted):
     labels = read_labels(path, ["vehicle"])
     assert names(labels) == ["vehicle"] * 4
     assert "every object counts as a vehicle" in labels.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"kind": KINDS, "fid": [1, 2, 3, 4]}, "no field 'colour'; .* it has: kind, fid"),
+        ({"class": KINDS}, "no field 'colour'; .* it has: class"),
+        ({"class": KINDS, "colour": [""] * 4}, "no field 'colour' with values; .* it has: class"),
+        ({"colour": [""] * 4}, "no field 'colour' with values; .* it has: none"),
+    ],
+)
+def test_a_missing_field_is_told_with_those_that_there_are(tmp_path, fields, message):
+    path = written(tmp_path / "x.geojson", objects(**fields))
+    with pytest.raises(ImageryError, match=rf"x\.geojson has {message}\.$"):
+        read_labels(path, ["colour=car"])
+
+
+def test_a_class_may_hold_an_equals_sign(tmp_path):
+    path = written(tmp_path / "x.geojson", objects(kind=["size=1", "size=2", "size=1", "none"]))
+    assert read_labels(path, ["size=1"]).classes == ("size=1", "size=2", "none")
+
+
+@pytest.mark.parametrize(
+    ("wanted", "role"),
+    [
+        ((), "'vehicle'"),
+        (("car",), "ignore regions"),
+        (("class=car",), "ignore regions"),
+        (("car", "vehicle"), "'vehicle'"),
+    ],
+)
+def test_objects_that_name_no_class_are_told(tmp_path, wanted, role):
+    kinds = ["car", None, "", "car", None]
+    regions = [False, False, False, False, True]
+    path = written(tmp_path / "x.geojson", objects(**{"class": kinds, "ignore": regions}))
+    labels = read_labels(path, wanted)
+    assert labels.notes == (f"objects of {path} that name no class (2 of 5) count as {role}",)
+    assert names(labels).count("vehicle") == 3
+
+
+def test_the_list_of_classes_names_the_field_that_they_come_from(tmp_path):
+    path = written(tmp_path / "x.geojson", objects(type_id=[18, 73, 18, 73], cat=["1"] * 4))
+    labels = read_labels(path)
+    with pytest.raises(ImageryError, match=r"the classes 18, 73 \(from its field 'type_id'\);"):
+        vehicle_classes(labels, LabelSettings(path))
+    with pytest.raises(ImageryError, match=r"it names: 18, 73 \(from its field 'type_id'\)\.$"):
+        require_classes(labels, ["car"], "labels")
+    labels = read_labels(written(path, objects(type_id=[18, 73, 18, None])))
+    with pytest.raises(ImageryError, match=r"'type_id'; where it is empty, vehicle\)"):
+        require_classes(labels, ["car"], "labels")
 
 
 def test_two_fields_that_hold_the_wanted_classes_for_different_objects_are_asked_about(tmp_path):

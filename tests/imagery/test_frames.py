@@ -173,7 +173,7 @@ def test_black_and_white_images_are_refused(tmp_path):
         ("0 nan 0.5 0.1 0.1\n", "car\nminibus\n", {}, "line 1 is not"),
         (None, "car\nminibus\n", {}, "no label text"),
         ("", None, {}, "all are empty"),
-        ("", "bus\n", {}, "no class 'car'"),
+        ("", "bus\n", {}, "no classes 'car', 'minibus'"),
         ("", "car\nminibus\n", {"pattern": "x*"}, "holds no image"),
     ],
 )

@@ -64,7 +64,9 @@ def test_coco(tmp_path):
             "annotation 5 has a box outside its image of 200 x 100 px",
         ),
         (annotation(bbox=[30, 15, 0, 10]), "annotation 5 has a box without size"),
-        (annotation(bbox=[30, 15, 20]), r"annotations\[0\]\.bbox: expected a list of length 4"),
+        (annotation(bbox=[30, 15, 20]), "annotation 5 has a bbox of 3 numbers, not 4"),
+        (annotation(bbox=[30, 15, 20, 10, 1]), "annotation 5 has a bbox of 5 numbers, not 4"),
+        (annotation(bbox=[]), "annotation 5 has neither a bbox nor a segmentation"),
         (annotation(bbox=[30, 15, 20, float("nan")]), "is not JSON"),
         (
             annotation(bbox=[30, 15, 20, 1e300]),
@@ -155,6 +157,70 @@ def test_labels_that_stand_twice_count_once_and_boxes_are_cut_with_a_note(tmp_pa
     points = features(*[shape("Point", [1, 2])] * 2)
     labels = read_labels(written(tmp_path / "x.geojson", points))
     assert len(labels.labels) == len(labels.notes) == 1
+
+
+FORMS = {
+    "coco": "left, top, right, bottom; write left, top, width, height in pixels, or cut",
+    "visdrone": "left, top, right, bottom; write left, top, width, height in pixels, or cut",
+    "yolo": "left, top, right, bottom; write centre x, centre y, width, height as shares",
+    "dota": r"of larger images; write x1 y1 \.\.\. x4 y4 in pixels",
+    "voc": "of larger images; write xmin, ymin, xmax, ymax in pixels",
+}
+
+
+def boxes(folder, form, lefts):
+    """Labels of one image of 200 x 100 px: boxes of 80 x 20 px at these positions."""
+    rows = [(left, 10 + number, left + 80, 30 + number) for number, left in enumerate(lefts)]
+    picture(folder / "one.png")
+    if form == "coco":
+        document = coco(
+            annotations=[
+                {"id": x, "image_id": 10, "category_id": 1, "bbox": [left, top, 80, 20]}
+                for x, (left, top, _, _) in enumerate(rows)
+            ]
+        )
+        return written(folder / "annotations.json", document).parent
+    if form == "voc":
+        sides = "<xmin>{}</xmin><ymin>{}</ymin><xmax>{}</xmax><ymax>{}</ymax>"
+        inside = (f"<name>car</name><bndbox>{sides.format(*row)}</bndbox>" for row in rows)
+        text = "".join(f"<object>{one}</object>" for one in inside)
+        return written(folder / "one.xml", f"<annotation>{text}</annotation>").parent
+    lines = {
+        "visdrone": "{0},{1},80,20,1,4,0,0",
+        "yolo": "0 {4} {5} 0.4 0.2",
+        "dota": "{0} {1} {2} {1} {2} {3} {0} {3} car 0",
+    }
+    text = "\n".join(
+        lines[form].format(*row, (row[0] + 40) / 200, (row[1] + 10) / 100) for row in rows
+    )
+    return written(folder / "one.txt", text).parent
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_boxes_that_mostly_reach_beyond_their_images_are_refused(tmp_path, form):
+    folder = boxes(tmp_path / "most", form, [170] * 6 + [50] * 5)
+    with pytest.raises(
+        ImageryError,
+        match=rf"6 of 11 boxes of .* reach beyond their images, as if they were {FORMS[form]}",
+    ):
+        read_labels(folder)
+    for name, lefts in (("half", [170] * 6 + [50] * 6), ("few", [170] * 9)):
+        (note,) = [
+            note
+            for note in read_labels(boxes(tmp_path / name, form, lefts)).notes
+            if note.startswith("cut ")
+        ]
+        assert note.startswith(f"cut {lefts.count(170)} boxes of")
+
+
+def test_yolo_text_apart_from_its_images_is_told_where_they_lie(tmp_path):
+    picture(tmp_path / "photographs" / "one.png")
+    written(tmp_path / "texts" / "one.txt", "0 0.2 0.2 0.1 0.1\n")
+    with pytest.raises(
+        ImageryError,
+        match="images beside the texts, or into a folder images beside their folder labels",
+    ):
+        read_labels(tmp_path / "texts")
 
 
 def test_ids_as_floats_and_paths_of_windows_are_read(tmp_path):

@@ -34,6 +34,11 @@ def label_of(path, document):
     return label
 
 
+def test_an_empty_box_counts_as_missing(tmp_path):
+    document = outlined([[20, 10, 60, 20, 40, 40]], bbox=[])
+    assert label_of(tmp_path / "x.json", document).corners == BOX
+
+
 @pytest.mark.parametrize(
     ("segmentation", "corners"),
     [

@@ -136,3 +136,5 @@ def test_an_unknown_class_is_answered_with_those_there_are():
         ImageryError, match="labels has no class 'lorry'; choose from those that it names: car, bus"
     ):
         require_classes(labels, ["car", "lorry"], "labels")
+    with pytest.raises(ImageryError, match="labels has no classes 'cars', 'lorry'; choose"):
+        require_classes(labels, ["cars", "car", "lorry"], "labels")

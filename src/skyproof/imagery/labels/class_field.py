@@ -8,9 +8,7 @@ from typing import Any
 import numpy as np
 
 from skyproof.errors import ImageryError
-
-_UNNAMED = "vehicle"
-"""The class of an object without a class name."""
+from skyproof.imagery.labels.label import UNNAMED
 
 # In the order of their precedence: names say more than numbers.
 _USUAL = (
@@ -45,21 +43,24 @@ def chosen_field(fields: Iterable[str], wanted: Sequence[str]) -> str | None:
 
 def name_classes(
     records: Sequence[Mapping[str, Any]], wanted: Sequence[str], path: Path
-) -> tuple[list[str], tuple[str, ...]]:
-    """Returns the class name of every object, and a note on every guess.
+) -> tuple[list[str], str, tuple[str, ...]]:
+    """Returns the class name of every object, their field, and a note on every guess.
+
+    The name is empty where the field is. There is no field if every object counts as a vehicle.
 
     The field is the one that the wanted classes name; else a usual one, or else one of text, that
     holds all wanted classes. Without any wanted it is a usual one that differs among objects, or
     else any usual one.
 
     Raises:
-        ImageryError: several fields may be meant, or an object has several values in it.
+        ImageryError: several fields may be meant, the one that the wanted classes name is missing,
+            or an object has several values in it.
     """
     fields = [field for field in (records[0] if records else ()) if _is_filled(records, field)]
     chosen = chosen_field(fields, wanted)
     if chosen is not None:
         names = _names(records, [chosen], path)
-        return [f"{chosen}={name}" if name else _UNNAMED for name in names], ()
+        return [f"{chosen}={name}" if name else "" for name in names], chosen, ()
     usual = usual_fields(fields)
     names_by = {field: _names(records, [field, *usual], path) for field in usual}
     holding = [field for field in usual if _holds(names_by[field], wanted)]
@@ -71,23 +72,28 @@ def name_classes(
         holding += [field for field in texts if _holds(names_by[field], wanted)]
         if len({tuple(name in wanted for name in names_by[field]) for field in holding}) > 1:
             raise _unclear(records, holding, path)
+    missing = [choice.partition("=")[0] for choice in wanted if "=" in choice]
+    if records and missing and not holding:
+        what = f"{missing[0]!r}" + (" with values" if missing[0] in records[0] else "")
+        known = ", ".join(fields)[:500] or "none"
+        raise ImageryError(f"{path} has no field {what}; choose from those that it has: {known}.")
     field = next(iter([*holding, *usual]), None)
-    if field is None and texts and {*wanted} != {_UNNAMED}:
+    if field is None and texts and {*wanted} != {UNNAMED}:
         raise _unclear(records, [*dict.fromkeys([*texts, *fields])], path)
     if field is None:
         note = (
             f"no field of {path} names classes, as far as known: every object counts as a vehicle "
             f"(fields: {', '.join(fields)[:300]})"
         )
-        return [_UNNAMED] * len(records), (note,) if fields else ()
-    names = [name or _UNNAMED for name in names_by[field]]
+        return [UNNAMED] * len(records), "", (note,) if fields else ()
+    names = names_by[field]
     rest = ", ".join(repr(other) for other in usual if other != field)
     alike = texts and not wanted and len({*names}) == 1
     if field in _DOCUMENTED and not rest and not alike:
-        return names, ()
+        return names, field, ()
     note = f"the classes of {path} are read from its field {field!r}"
     note += f" and, where it is empty, from {rest}" if rest else ""
-    return names, (f"{note}: every object is called {names[0]!r}" if alike else note,)
+    return names, field, (f"{note}: every object is called {names[0]!r}" if alike else note,)
 
 
 def _holds(names: Sequence[str], wanted: Sequence[str]) -> bool:
@@ -109,7 +115,7 @@ def _unclear(
     return ImageryError(
         f"{path} does not say which of its fields names the classes: {told[:600]}; put the field "
         f"before each vehicle class (such as --labels.classes {fields[0]}="
-        f"{values[fields[0]][0][:60]}), or say --labels.classes {_UNNAMED} if every object is one."
+        f"{values[fields[0]][0][:60]}), or say --labels.classes {UNNAMED} if every object is one."
     )
 
 

@@ -42,7 +42,8 @@ class _CocoImage(msgspec.Struct):
 class _CocoAnnotation(msgspec.Struct):
     image_id: _Id
     category_id: _Id
-    bbox: tuple[Coordinate, Coordinate, Coordinate, Coordinate] | None = None
+    # Some writers leave it empty and give a segmentation.
+    bbox: list[Coordinate] | None = None
     # Read only where there is no box.
     segmentation: msgspec.Raw = msgspec.Raw()
     id: _Id | None = None
@@ -73,7 +74,7 @@ def read_coco_labels(path: Path) -> ImageLabels:
     """
     document: _CocoFile = read_document(path, _CocoFile, "correct it", error=ImageryError)
     categories = {row.id: row.name for row in document.categories}
-    images = LabelledImages(path)
+    images = LabelledImages(path, "left, top, width, height in pixels")
     names: dict[float | str, str] = {}
     for image in document.images:
         # Only the name of a path counts: no file is opened by it.
@@ -91,7 +92,9 @@ def read_coco_labels(path: Path) -> ImageLabels:
             what = f"has category {row.category_id} but the file lists {known[:500]}"
             raise damaged(where, what)
         name, class_name, ignore = names[row.image_id], categories[row.category_id], row.iscrowd
-        if row.bbox is not None:
+        if row.bbox:
+            if len(row.bbox) != 4:
+                raise damaged(where, f"has a bbox of {len(row.bbox)} numbers, not 4")
             left, top, width, height = row.bbox
             box = (left, top, left + width, top + height)
             label = upright_label(class_name, box, where, bool(ignore))

@@ -13,7 +13,14 @@ import numpy as np
 from skyproof.errors import ImageryError
 from skyproof.imagery.labels.class_field import chosen_field, name_classes, usual_fields
 from skyproof.imagery.labels.image_files import LARGEST_NUMBER
-from skyproof.imagery.labels.label import GroundLabels, Label, Point, outline_corners, twice_note
+from skyproof.imagery.labels.label import (
+    UNNAMED,
+    GroundLabels,
+    Label,
+    Point,
+    outline_corners,
+    twice_note,
+)
 from skyproof.imagery.settings import names_a_system
 from skyproof.words import counted
 
@@ -69,7 +76,10 @@ def read_ground_labels(
     # Integers stay integers if some objects have none.
     properties = frame.drop(columns="geometry").convert_dtypes()
     records = properties.astype(object).where(properties.notna(), None).to_dict("records")
-    names, guesses = name_classes(records, wanted, path)
+    names, field, guesses = name_classes(records, wanted, path)
+    unnamed = sum(
+        not name and not _is_ignored(record) for name, record in zip(names, records, strict=True)
+    )
     labels: list[Label] = []
     parts: list[int] = []
     rows = zip(frame.geometry, records, names, strict=True)
@@ -88,15 +98,20 @@ def read_ground_labels(
                     "and latitude; name the reference system in the file, or convert it (ogr2ogr "
                     "-t_srs EPSG:4326)."
                 )
-            labels.append(Label(name, corners, _is_ignored(record)))
+            labels.append(Label(name or UNNAMED, corners, _is_ignored(record)))
     single = tuple(dict.fromkeys(labels))
     several = [count for count in parts if count > 1]
     if several:
         objects = counted(len(several), "object")
         notes += (f"counted the {sum(several)} parts of {objects} of {path} as one label each",)
-    notes += guesses + twice_note(len(labels) - len(single), path)
+    notes += guesses
+    if unnamed:
+        role = "ignore regions" if wanted and UNNAMED not in wanted else repr(UNNAMED)
+        told = f"{unnamed} of {len(names)}"
+        notes += (f"objects of {path} that name no class ({told}) count as {role}",)
+    notes += twice_note(len(labels) - len(single), path)
     classes = dict.fromkeys(label.class_name for label in single)
-    return GroundLabels(tuple(classes), single, crs, notes)
+    return GroundLabels(tuple(classes), single, crs, notes, field)
 
 
 def _is_ignored(record: Mapping[str, Any]) -> bool:

@@ -24,16 +24,22 @@ IMAGE_FOLDERS = ("images", "JPEGImages")
 LABEL_FOLDERS = ("labelTxt", "labels", "annotations", "Annotations")
 """Names in place of those of images: by DOTA, Ultralytics, VisDrone and Pascal VOC."""
 _LARGEST_BYTES = 256 * 2**20
+_TELLING_BOXES = 10
+"""From so many boxes on, a file is refused if most of them reach beyond their images."""
 
 
 class LabelledImages:
-    """Collects labels by image, and refuses damaged ones."""
+    """Collects labels by image, and refuses damaged ones.
 
-    def __init__(self, path: Path) -> None:
+    `box_form` are the numbers of a box, as the form of the labels wants them.
+    """
+
+    def __init__(self, path: Path, box_form: str) -> None:
         self.path = path
+        self.box_form = box_form
         # Labels as keys keep their order, and none stands there twice.
         self.labels: dict[str, dict[Label, None]] = {}
-        self._twice = self._cut = 0
+        self._twice = self._cut = self._placed = 0
         self.sizes_px: dict[str, tuple[int, int]] = {}
 
     def add_image(self, name: str, size_px: tuple[int, int] | None) -> None:
@@ -52,6 +58,7 @@ class LabelledImages:
             raise damaged(where, "has a box without size")
         if name in self.sizes_px:
             whole, label = label, cut_to_image(label, self.sizes_px[name], where)
+            self._placed += 1
             self._cut += label != whole
         self._twice += label in self.labels[name]
         self.labels[name][label] = None
@@ -63,6 +70,13 @@ class LabelledImages:
     def with_classes(self, classes: Iterable[str], *notes: str) -> ImageLabels:
         images = {name: tuple(labels) for name, labels in self.labels.items()}
         notes += twice_note(self._twice, self.path)
+        if self._placed >= _TELLING_BOXES and 2 * self._cut > self._placed:
+            read = "left, top, right, bottom" if "width" in self.box_form else "of larger images"
+            raise ImageryError(
+                f"{self._cut} of {self._placed} boxes of {self.path} reach beyond their images, as "
+                f"if they were {read}; write {self.box_form}, or cut the boxes at the edge of the "
+                "image."
+            )
         if self._cut:
             cut = counted(self._cut, "box", "boxes")
             notes += (f"cut {cut} of {self.path} at the edge of the image",)

@@ -17,6 +17,8 @@ from skyproof.words import counted
 Point = tuple[float, float]
 Box = tuple[float, float, float, float]
 
+UNNAMED = "vehicle"
+"""The class of an object without a class name."""
 _SLACK = 0.005
 """Text with few digits rounds the sides of a box by this share."""
 
@@ -93,12 +95,16 @@ class ImageLabels:
 
 @dataclass(frozen=True)
 class GroundLabels:
-    """Labels in a reference system such as "EPSG:2193", longitude or east first."""
+    """Labels in a reference system such as "EPSG:2193", longitude or east first.
+
+    `class_field` is the field of the file that names the classes; it is empty without one.
+    """
 
     classes: tuple[str, ...]
     labels: tuple[Label, ...]
     crs: str
     notes: tuple[str, ...] = ()
+    class_field: str = ""
 
 
 Labels = ImageLabels | GroundLabels
@@ -118,12 +124,20 @@ def twice_note(count: int, path: object) -> tuple[str, ...]:
 
 def require_classes(labels: Labels, classes: Sequence[str], where: str) -> None:
     """Refuses classes that the labels lack."""
-    unknown = next((name for name in classes if name not in labels.classes), None)
-    if unknown is not None:
-        known = ", ".join(labels.classes) or "none at all"
+    unknown = [name for name in classes if name not in labels.classes]
+    if unknown:
+        told = ("class " if len(unknown) == 1 else "classes ") + ", ".join(map(repr, unknown))
         raise ImageryError(
-            f"{where} has no class {unknown!r}; choose from those that it names: {known[:500]}."
+            f"{where} has no {told[:500]}; choose from those that it names: {told_classes(labels)}."
         )
+
+
+def told_classes(labels: Labels) -> str:
+    """Lists the classes, and the field of a vector file that names them."""
+    known = (", ".join(labels.classes) or "none at all")[:500]
+    field = labels.class_field if isinstance(labels, GroundLabels) else ""
+    empty = f"; where it is empty, {UNNAMED}" if UNNAMED in labels.classes else ""
+    return f"{known} (from its field {field!r}{empty})" if field else known
 
 
 def require_size(

@@ -43,7 +43,7 @@ def _is_number(word: str) -> bool:
 
 def read_dota_labels(folder: Path) -> ImageLabels:
     """Reads `x1 y1 ... x4 y4 class difficult` lines; difficult objects become ignore regions."""
-    images = LabelledImages(folder)
+    images = LabelledImages(folder, "x1 y1 ... x4 y4 in pixels")
     for text in label_texts(folder):
         image = image_of(text)
         images.add_image(text.stem, None if image is None else image_size_px(image))
@@ -84,7 +84,7 @@ def read_visdrone_labels(folder: Path) -> ImageLabels:
     Category 0 and score 0 are ignore regions. Boxes without size, as the public set holds some,
     are left out with a note.
     """
-    images = LabelledImages(folder)
+    images = LabelledImages(folder, "left, top, width, height in pixels")
     flat = 0
     for text in label_texts(folder):
         image = image_of(text)

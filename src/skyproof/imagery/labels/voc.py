@@ -47,7 +47,7 @@ def read_voc_labels(folder: Path, files: list[tuple[Path, Element]]) -> ImageLab
     The first pixel has the number 1, and the last one lies inside the box. The image is the one of
     the file's own name, if it is found, or else the one that this file alone names.
     """
-    images = LabelledImages(folder)
+    images = LabelledImages(folder, "xmin, ymin, xmax, ymax in pixels")
     named = [PureWindowsPath((root.findtext("filename") or "").strip()).stem for _, root in files]
     counts = Counter(named)
     for (file, root), inside in zip(files, named, strict=True):

@@ -8,6 +8,7 @@ import yaml
 
 from skyproof.errors import ImageryError
 from skyproof.imagery.labels.image_files import (
+    IMAGE_FOLDERS,
     LabelledImages,
     damaged,
     finite_numbers,
@@ -57,7 +58,7 @@ def read_yolo_labels(folder: Path, names: Path | None) -> ImageLabels:
     one class may occur. Texts without an image of their name, such as a read-me, are skipped.
     """
     classes = None if names is None else _classes(names)
-    images = LabelledImages(folder)
+    images = LabelledImages(folder, "centre x, centre y, width, height as shares of the image")
     root = folder / _LABELS
     for text in label_texts(root if root.is_dir() else folder):
         image = image_of(text)
@@ -69,8 +70,9 @@ def read_yolo_labels(folder: Path, names: Path | None) -> ImageLabels:
             images.add(image.stem, _yolo_label(where, words, classes, size_px), where)
     if not images.labels:
         raise ImageryError(
-            f"{folder} holds no label text (.txt) with an image of the same name; give another "
-            "folder."
+            f"{folder} holds no label text (.txt) with an image of the same name; put the images "
+            f"beside the texts, or into a folder {IMAGE_FOLDERS[0]} beside their folder {_LABELS}, "
+            "or give another folder."
         )
     if classes is not None:
         return images.with_classes(classes)

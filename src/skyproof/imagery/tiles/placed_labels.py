@@ -21,6 +21,7 @@ from skyproof.imagery.labels.label import (
     require_classes,
     require_size,
     sort_labels,
+    told_classes,
 )
 from skyproof.imagery.settings import LabelSettings
 from skyproof.imagery.tiles.georeference import system_of, to_reference_system
@@ -248,7 +249,7 @@ def vehicle_classes(labels: Labels, settings: LabelSettings) -> tuple[str, ...]:
         return settings.classes
     if len(labels.classes) > 1:
         raise ImageryError(
-            f"{settings.path} names the classes {', '.join(labels.classes)[:500]}; say with "
+            f"{settings.path} names the classes {told_classes(labels)}; say with "
             "--labels.classes which of them count as vehicles (small vehicles in the paper)."
         )
     return labels.classes
