@@ -53,10 +53,11 @@ def call(photographs, tmp_path):
 def test_a_plan_says_what_the_imagery_holds(call, tmp_path, skyproof: Skyproof):
     answer = skyproof(*call, "--gsd", 0.125, "--plan")
     assert answer.code == 0, answer.err
-    first, places, second, *_ = answer.out.splitlines()
-    assert places == "4 images without georeference show 4 distinct places"
+    first, places, second, third, *_ = answer.out.splitlines()
+    assert places == "4 images without georeference show at most 4 distinct places"
     assert first.startswith("4 images of 75 x 75 m at 12.5 cm per pixel, 0 of them on a map: about")
     assert second == "40 labelled vehicles, the median is 4.5 m long (a car is about 4.5 m)"
+    assert re.fullmatch(r"about \d+ labelled vehicles on tiles.*", third)
     assert not (tmp_path / "run").exists()
 
 
@@ -75,7 +76,7 @@ def test_ground_that_several_photographs_show_counts_once(
         assert answer.code == 0, answer.err
         tiles.append(re.search(r"about (\d+) tiles? of .+ m, which cover (\d+)\s%", answer.out)[0])
     assert tiles[0] == tiles[1]
-    assert "4 images without georeference show 1 distinct place\n" in answer.out
+    assert "4 images without georeference show at most 1 distinct place\n" in answer.out
 
 
 @pytest.mark.parametrize(("gsd_m", "length_m"), [(0.25, "9.0"), (0.06, "2.2")])
@@ -85,6 +86,26 @@ def test_a_wrong_resolution_is_seen_by_the_length_of_cars(
     skyproof(*call, "--gsd", gsd_m).refused(f"is {length_m} m long", "correct --gsd", "--go-on")
     assert not (tmp_path / "run").exists()
     assert skyproof(*call, "--gsd", gsd_m, "--go-on", "--plan").code == 0
+
+
+def test_a_wrong_resolution_is_told_beside_too_few_tiles(call, skyproof: Skyproof):
+    skyproof(*call, "--gsd", 0.012, "--plan").refused("is 0.4 m long", "no image holds")
+
+
+def test_labels_that_lie_on_no_tile_are_refused_at_once(
+    call, photographs, tmp_path, skyproof: Skyproof
+):
+    for path in photographs.glob("*.txt"):
+        path.write_text("0 0.97 0.97 0.06 0.025")
+    skyproof(*call, "--gsd", 0.125).refused("No labelled vehicle lies on a tile", "--labels")
+    point = {"type": "Point", "coordinates": [11.5, 48.1]}
+    feature = {"type": "Feature", "properties": {"class": "car"}, "geometry": point}
+    file = tmp_path / "elsewhere.geojson"
+    file.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+    words = [file if word == photographs else word for word in call]
+    words[3] = photographs
+    skyproof(*words, "--gsd", 0.125).refused("in map coordinates but no image says where it lies")
+    assert not (tmp_path / "run").exists()
 
 
 def test_too_few_tiles_for_the_requirement_are_seen_at_once(

@@ -9,6 +9,7 @@ from rasterio.rpc import RPC
 from rasterio.transform import from_origin
 
 from skyproof.errors import ImageryError
+from skyproof.imagery.tiles.sources import find_images
 from tests.imagery.made import all_tiles, noise, tile, write_image
 
 PLACE = from_origin(1_550_000, 5_190_000, 0.125, 0.125)
@@ -118,6 +119,7 @@ def test_a_local_system_gives_its_unit(tmp_path, system, side, gsd_m):
     assert "a.tif: it names only a local reference system: its pixels" in record.notes[0]
     _, record = tile([path], tmp_path / "given", source_gsd_m=0.2)
     assert record.sources[0]["gsd_m"] == [0.2, 0.2]
+    assert "a.tif: it names only a local reference system: its pixels" in record.notes[0]
     place |= {"transform": from_origin(1_550_000, 5_190_000, 0.125, 0.125)}
     path = write_image(tmp_path / "b.tif", noise(200, 200), **place)
     _, record = tile([path], tmp_path / "placed", crs="EPSG:2193")
@@ -139,3 +141,16 @@ def test_pixels_of_millimetres_are_doubted(tmp_path, georeferenced):
     given = {"gsd_m": 0.005, "source_gsd_m": None if georeferenced else 0.005}
     _, record = tile([tmp_path / "a.tif"], tmp_path / "set", **given)
     assert any("0.5 cm per pixel is finer than nearly all imagery" in one for one in record.notes)
+
+
+def test_a_resolution_given_beside_the_stated_one_is_told(tmp_path):
+    path = write_image(tmp_path / "a.tif", noise(200, 200), crs="EPSG:2193", transform=PLACE)
+    for given_m, told in ((0.25, True), (PLACE.a, False)):
+        _, record = tile([path], tmp_path / f"{told}", source_gsd_m=given_m)
+        assert any("0.25 m given do not count" in note for note in record.notes) == told
+
+
+def test_hidden_files_are_no_images(tmp_path):
+    path = write_image(tmp_path / "a.tif", noise(200, 200), crs="EPSG:2193", transform=PLACE)
+    (tmp_path / "._a.tif").write_bytes(b"Mac OS X")
+    assert find_images([tmp_path]) == [path]

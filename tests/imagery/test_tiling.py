@@ -317,7 +317,7 @@ def test_too_small_images_are_counted_in_metres(tmp_path):
     found, notes = tiles_for_scenes(tmp_path, **small, big=(160, 160))
     assert found.keys() == {"big"}
     assert merged_notes(notes) == [
-        "5 images without georeference show 5 distinct places",
+        "5 images without georeference show at most 5 distinct places",
         "4 images (a.tif, b.tif and 2 more): too small for a tile of 24.0 m, and left out",
     ]
     assert "c.tif: too small for a tile of 24.0 m, and left out" in notes

@@ -31,6 +31,8 @@ _OPTIONS = {
     "give it with --source.crs, or the metres": "write it into the image, or give the metres",
     " (or --source.crs)": "",
     ", or larger tiles (--tiling.size-px)": "",
+    "give images with some": "label more vehicles of the imagery, or leave out --labels",
+    "give frames with labels, or leave them": "label more vehicles, or leave --labels",
     "--source.gsd-m": "--gsd",
     "--labels.classes": "--label-classes",
     "--labels.path": "--labels",

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from statistics import median
 
+import numpy as np
 from shapely import Polygon, box, union_all
 
 from skyproof.assessment.judging import refuse_few_tiles
@@ -27,7 +28,7 @@ from skyproof.imagery.labels.label import GroundLabels, Labels
 from skyproof.imagery.settings import LabelSettings
 from skyproof.imagery.tiles.georeference import system_of, to_reference_system
 from skyproof.imagery.tiles.grid import Cell, Grid, cells_of, lay_grids
-from skyproof.imagery.tiles.placed_labels import vehicle_classes
+from skyproof.imagery.tiles.placed_labels import PlacedLabels, vehicle_classes
 from skyproof.imagery.tiles.sources import Source, notes_on
 from skyproof.imagery.tiles.tiling import refuse_too_few
 from skyproof.imagery.tiles.whole_cells import corners_of
@@ -47,6 +48,9 @@ _LENGTHS_M = (3.0, 7.0)
 
 _FEW = 5
 """Labels from which a median is taken seriously."""
+
+_FEW_ON_TILES = 40
+"""Labelled vehicles from which the validation and test tiles hold some with near certainty."""
 
 _VEHICLES = 3
 """Mean number in a test scene."""
@@ -132,18 +136,27 @@ def _look_at_imagery(its: Subject, mistakes: list[SkyproofError]) -> tuple[int, 
     tiling = tiling_of(its)
     notes: list[str] = []
     sources = its.inspected
-    grids = lay_grids(sources, tiling, notes)
-    cells = [cell for grid in grids for cell in cells_of(grid)]
-    refuse_too_few(len(cells), tiling)
+    grids: list[Grid] = []
+    cells: list[Cell] = []
+    with _noted(mistakes):
+        grids = lay_grids(sources, tiling, notes)
+        cells = [cell for grid in grids for cell in cells_of(grid)]
+        refuse_too_few(len(cells), tiling)
     test_tiles = max(1, round(len(cells) * tiling.shares[3]))
-    told = exif_words([source.exif for source in sources])
-    sentences = [_imagery(sources, cells), *told, *merged_notes([*notes_on(sources), *notes])]
+    sentences: list[str] = []
+    if cells:
+        told = exif_words([source.exif for source in sources])
+        sentences += [_imagery(sources, cells), *told, *merged_notes([*notes_on(sources), *notes])]
     with _noted(mistakes):
         if its.labels is not None:
             settings = LabelSettings(request.labels, request.label_classes)
-            sentences += [_labels(its.labels, settings, sources, grids, its), *its.labels.notes]
+            # A wrong resolution may be why no tile fits.
+            sentences.append(_labels(its.labels, settings, sources, grids, its))
+            if cells:
+                placed = PlacedLabels(its.labels, settings, sources, cells)
+                sentences += [*_on_tiles(placed, cells), *merged_notes(placed.notes)]
     with _noted(mistakes):
-        if request.requirement is not None:
+        if request.requirement is not None and cells:
             said = f"The imagery holds at most {test_tiles} test tiles"
             refuse_few_tiles(said, test_tiles, request.requirement, its.suite.test_images)
     return test_tiles, sentences
@@ -205,6 +218,21 @@ def _labels(
     return f"{told}, the median is {middle_m:.1f} m long (a car is about 4.5 m)"
 
 
+def _on_tiles(placed: PlacedLabels, cells: Sequence[Cell]) -> Iterator[str]:
+    """Tells how many labelled vehicles lie on tiles; refuses none."""
+    count = 0
+    for cell in cells:
+        owner = np.full((1, 1), cell.sources[0]).repeat(cell.size_px, 0).repeat(cell.size_px, 1)
+        count += sum(not row.ignore for row in placed.on(cell, owner))
+    if not count:
+        raise ImageryError(
+            "No labelled vehicle lies on a tile, so no threshold can be frozen on the labels; "
+            "label more of the imagery, or leave out --labels."
+        )
+    few = ", which may be too few for each split" if count < _FEW_ON_TILES else ""
+    yield f"about {counted(count, 'labelled vehicle')} on tiles{few}"
+
+
 def _lengths_m(
     labels: Labels, classes: Sequence[str], sources: Sequence[Source], grids: Sequence[Grid]
 ) -> tuple[list[float], int]:
@@ -244,10 +272,11 @@ def _plan(its: Subject, tiles: int, steps: Sequence[Step]) -> Iterator[str]:
     assumptions = Assumptions(_EASR, vehicles_per_tile=each, design_effect=effect, fleet=fleet)
     width = expected_half_width(shown, assumptions)
     at_most = "at most " if its.request.imagery else ""
+    wide = f"be about ±{100 * width:.0f} percentage points" if width < 0.5 else "say nothing"
     yield (
         f"{scenes} test scenes with about {_VEHICLES * scenes} vehicles will stand on {shown} of "
-        f"{at_most}{counted(tiles, 'test tile')}: the 95 % interval of an EASR of {percent(_EASR)} "
-        f"would be about ±{100 * width:.0f} percentage points"
+        f"{at_most}{counted(tiles, 'test tile')}: if an attack hides {percent(_EASR)} of the "
+        f"vehicles found, the 95 % interval would {wide}"
     )
     needed = tiles_needed(_HALF_WIDTH, assumptions)
     if needed is not None:

@@ -20,6 +20,7 @@ from skyproof.imagery.settings import names_a_system
 COARSEST_GSD_M = 0.5
 FINEST_PLAUSIBLE_M = 0.005
 _FINEST_COMMON_M = 0.01
+_SAME_GSD = 0.01
 TRUE_TO_SCALE = 0.0015
 
 _LARGEST_OFFSET_PX = 1.0
@@ -111,9 +112,16 @@ def read_georeference(
             )
         gsd_m = lengths_m[0] / step, lengths_m[1] / step
         _check_resolution(path, gsd_m, "the image", notes)
+        if source_gsd_m is not None and abs(math.log(gsd_m[0] / source_gsd_m)) > _SAME_GSD:
+            notes.append(
+                f"it states {gsd_m[0]:.4g} m per pixel itself, and the {source_gsd_m:g} m given do "
+                "not count"
+            )
         return Georeference(system, affine, gsd_m)
     if source_gsd_m is not None:
         gsd_m = source_gsd_m, source_gsd_m
+        if local:
+            notes.append("it names only a local reference system: its pixels are taken as given")
     elif plain:
         likely_m = read_exif(dataset).gsd_m
         hint = "" if likely_m is None else f", by its camera's height about {likely_m:.2g}"

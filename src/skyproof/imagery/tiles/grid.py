@@ -184,7 +184,7 @@ def lay_grids(sources: Sequence[Source], settings: TilingSettings, notes: list[s
     if alone > 1:
         places = sum(crs is None for _, crs, *_ in layouts)
         notes.append(
-            f"{alone} images without georeference show {counted(places, 'distinct place')}"
+            f"{alone} images without georeference show at most {counted(places, 'distinct place')}"
         )
     size, gsd_m = settings.size_px, settings.gsd_m
     wanted = len(settings.split_shares)

@@ -99,8 +99,8 @@ def find_images(paths: Sequence[Path]) -> list[Path]:
             images = next(filter(None, map(_images_in, places)), [])
             if not images:
                 raise ImageryError(
-                    f"{path} holds no image ({', '.join(RASTER_SUFFIXES)}); give another folder "
-                    "or a file."
+                    f"{path} holds no image ({', '.join(RASTER_SUFFIXES)}), and other folders in "
+                    "it are not searched; give the folder of the images, or a file."
                 )
             files += images
         elif path.is_file():
@@ -120,7 +120,12 @@ def find_images(paths: Sequence[Path]) -> list[Path]:
 def _images_in(folder: Path) -> list[Path]:
     if not folder.is_dir():
         return []
-    return sorted(file for file in folder.iterdir() if file.suffix.lower() in RASTER_SUFFIXES)
+    # Other systems leave hidden files beside images: ._photo.jpg.
+    return sorted(
+        file
+        for file in folder.iterdir()
+        if file.suffix.lower() in RASTER_SUFFIXES and not file.name.startswith(".")
+    )
 
 
 class SourceReader:

@@ -144,7 +144,7 @@ def tile_imagery(
         [cells[tile.id] for tile in tiles], settings.split_shares, generator=generator
     )
     notes += [
-        f"{split} is empty: there are not enough tiles; give more imagery or a smaller size"
+        f"there are not enough tiles, and none for {split}; give more imagery or a smaller size"
         for split in settings.split_shares
         if split not in splits.values()
     ]
