@@ -73,22 +73,23 @@ def test_turned_and_scaled_photographs_of_drawn_places_are_recognised(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("labelled", [True, False])
-def test_nearly_all_photographs_of_the_same_ground_are_recognised_and_no_others(tmp_path, labelled):
-    """95 % found and 1 % wrong, over seeds that nothing was tuned on."""
-    counts = []
+def test_nearly_all_photographs_of_the_same_ground_are_recognised_and_no_others(tmp_path):
+    """95 % found and 1 % wrong, over seeds that nothing was tuned on, with and without labels."""
+    counts = {True: [], False: []}
     for seed in (21, 22, 23):
         rng = np.random.default_rng(seed)
         flown = fly(rng, places=8, each=6, side_px=640, ground_px=1400, seed=seed)
         folder = tmp_path / str(seed)
         folder.mkdir()
         paths, labels = store(flown, folder, quality=65)
-        sources = inspect_imagery(paths, GIVEN, labels if labelled else None)
-        counts.append(agreement(flown, sources)[:3])
-    true, found, wrong = np.sum(counts, 0)
-    print(f"labelled: {labelled}, true pairs: {true}, found: {found}, wrong: {wrong}")
-    assert found >= 0.95 * true
-    assert wrong <= 0.01 * true
+        for labelled, every in counts.items():
+            sources = inspect_imagery(paths, GIVEN, labels if labelled else None)
+            every.append(agreement(flown, sources)[:3])
+    for labelled, every in counts.items():
+        true, found, wrong = np.sum(every, 0)
+        print(f"labelled: {labelled}, true pairs: {true}, found: {found}, wrong: {wrong}")
+        assert found >= 0.95 * true
+        assert wrong <= 0.01 * true
 
 
 def repeated(kind, number):
