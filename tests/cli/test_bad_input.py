@@ -59,7 +59,7 @@ CASES: dict[str, tuple[str, Callable[[Path], object], list[str], str]] = {
     "text": ("photo.tif", text, ["--gsd", "0.125"], "convert it"),
     "cut off": ("photo.png", truncated, ["--gsd", "0.125"], "convert it"),
     "empty file": ("photo.jpg", lambda path: path.touch(), ["--gsd", "0.125"], "convert it"),
-    "empty folder": ("photo", lambda path: path.mkdir(), [], "give another folder"),
+    "empty folder": ("photo", lambda path: path.mkdir(), [], "give the folder of the images"),
     "no transform": ("photo.tif", lambda path: geotiff(path, None), [], "--gsd"),
     "plain image": ("photo.png", picture, [], "--gsd"),
     "too coarse": ("photo.tif", lambda path: geotiff(path, 0.6), [], "finer imagery"),
