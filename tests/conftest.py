@@ -79,3 +79,12 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
             return "tests/hostile" if hostile else super()._split_scope(nodeid)
 
     return Files(config, log)
+
+
+@pytest.fixture
+def two_threads() -> Iterator[None]:
+    """Torch has two threads, as on two cores."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    yield
+    torch.set_num_threads(before)

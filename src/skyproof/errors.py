@@ -30,3 +30,9 @@ class StoredFileError(SkyproofError):
 
 class RunFolderError(SkyproofError):
     """An output folder that holds something else, or a disk that cannot take the output."""
+
+
+def is_full_memory(error: BaseException) -> bool:
+    """Tells whether the memory beside a CPU is full; torch has no error of its own for that."""
+    words = ("can't allocate memory", "you tried to allocate")
+    return isinstance(error, MemoryError) or any(each in str(error) for each in words)

@@ -13,7 +13,7 @@ from typing import Any
 
 from skyproof import __version__
 from skyproof.console import say, say_error
-from skyproof.errors import ConfigurationError, SkyproofError
+from skyproof.errors import ConfigurationError, SkyproofError, is_full_memory
 from skyproof.ranges import check_ranges
 
 # A command is imported when it is asked for: help and a wrong option must answer at once.
@@ -137,8 +137,7 @@ def _sentence(error: Exception) -> str | None:
         return f"{file} cannot be used: {error.strerror or error}; {remedy}."
     if isinstance(error, RecursionError):
         return "a file given here is nested too deep; check the files, and give others."
-    # Torch has no error of its own for a CPU's memory.
-    if isinstance(error, MemoryError) or "can't allocate memory" in str(error):
+    if is_full_memory(error):
         return "the memory is full; give smaller files, or use a machine with more of it."
     # Torch may not be loaded.
     torch = sys.modules.get("torch")

@@ -104,14 +104,6 @@ def test_of_a_random_search_nothing_is_asked(tmp_path, world):
     assert learn(tmp_path, world, Told(world), name="R-PixFc_search") is None
 
 
-@pytest.fixture
-def two_threads():
-    before = torch.get_num_threads()
-    torch.set_num_threads(2)
-    yield
-    torch.set_num_threads(before)
-
-
 def test_networks_see_two_batches_at_a_time_and_the_scores_keep_their_order(
     monkeypatch, world, two_threads
 ):

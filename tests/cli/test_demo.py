@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from skyproof import console
 from skyproof.cycles.settings import Rendering
 from skyproof.detectors.card import REFERENCE_DETECTORS, REFERENCE_FOLDER
 from skyproof.errors import ConfigurationError
@@ -96,13 +97,15 @@ def test_a_detector_that_finds_nothing_is_refused_and_the_rest_is_done_once_it_d
     assert "render test" not in answer.out  # it was finished before
 
 
-def test_time_left_is_printed(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    from skyproof import console
+@pytest.fixture
+def now(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """The seconds that the clock of progress shows."""
+    seconds = [0.0]
+    monkeypatch.setattr(console.time, "monotonic", lambda: seconds[0])
+    return seconds
 
-    now = [0.0]
-    monkeypatch.setattr(console.time, "monotonic", lambda: now[0])
+
+def test_time_left_is_printed(now: list[float], capsys: pytest.CaptureFixture[str]) -> None:
     with console.progress_bar("train x") as update:
         for step in range(101, 201):  # resumed at 100: those steps cost no time now
             now[0] += 1.0
@@ -114,12 +117,8 @@ def test_time_left_is_printed(
 
 
 def test_no_time_left_is_printed_before_it_means_something(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    now: list[float], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from skyproof import console
-
-    now = [0.0]
-    monkeypatch.setattr(console.time, "monotonic", lambda: now[0])
     with console.progress_bar("score") as update:
         # The first of 3,000 images waits for the networks, the others take 10 s each.
         for done, wait_s in enumerate([29.0, *[10.0] * 9], 1):

@@ -109,15 +109,16 @@ else:
 """
 
 
+def alone(script):
+    """Runs a script in a process of its own."""
+    return subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=120
+    )
+
+
 @pytest.mark.parametrize("guarded", [True, False])
 def test_libraries_write_nothing_beside_the_sentence(guarded):
-    done = subprocess.run(
-        [sys.executable, "-c", LOUD.replace("GUARDED", str(guarded))],
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=120,
-    )
+    done = alone(LOUD.replace("GUARDED", str(guarded)))
     assert (done.stderr == "") is guarded
     if not guarded:
         assert "RuntimeWarning" in done.stderr
@@ -126,11 +127,5 @@ def test_libraries_write_nothing_beside_the_sentence(guarded):
 
 @pytest.mark.parametrize("guarded", [True, False])
 def test_gdal_and_proj_ask_no_network(guarded):
-    done = subprocess.run(
-        [sys.executable, "-c", FETCH.replace("GUARDED", str(guarded))],
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=120,
-    )
+    done = alone(FETCH.replace("GUARDED", str(guarded)))
     assert ("asked" in done.stdout) is not guarded

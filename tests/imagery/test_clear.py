@@ -488,14 +488,6 @@ class Network(Reds, TrainableDetector):
         self.set_card(DetectorCard("reds", threshold=0.5, gsd_m=0.125))
 
 
-@pytest.fixture
-def two_threads():
-    before = torch.get_num_threads()
-    torch.set_num_threads(2)
-    yield
-    torch.set_num_threads(before)
-
-
 def test_two_tiles_are_cleared_at_a_time_as_one_after_the_other(tmp_path, two_threads):
     folder = tiled(tmp_path / "tiled")
     _, expected = cleared(folder, tmp_path, finder=finder(), checker=finder())

@@ -239,7 +239,7 @@ def test_a_pair_that_contradicts_the_others_is_dropped():
         return PhotographPair(first, second, *relative, (10 + 10j, 50 + 40j))
 
     pairs = [pair(0, 1), pair(1, 2), pair(2, 3), pair(3, 0), pair(0, 2, off_m=30)]
-    found, groups = planes._lie(5, pairs)
+    found, groups = planes._poses(5, pairs)
     assert groups == [[0, 1, 2, 3], [4]]
     turn, shift = found[0]
     for (its_turn, its_shift), expected in zip(found, lie, strict=False):

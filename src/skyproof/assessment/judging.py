@@ -153,6 +153,7 @@ def score(
         (measured.out,),
         lambda: measured.measure(its.detectors),
         (its.names, camouflages, its.seed, frames, chosen),
+        inputs=tuple(camouflages),
         extra=rendering is not None,
         effort_s=START_S + each_s * (1 + len(camouflages)),
     )
@@ -161,7 +162,7 @@ def score(
 def scored_names(steps: Sequence[Step]) -> list[str]:
     """The names of the camouflages that a whole run scores on the renderer of the attacks."""
     scores = [step for step in steps if step.kind == "score" and not step.extra]
-    return [place.name for step in scores for place in step.settings[1]]  # type: ignore[index]
+    return [camouflage.name for step in scores for camouflage in step.inputs]
 
 
 def report(its: Subject, scores: Sequence[Step], requirement: Requirement | None) -> Step:

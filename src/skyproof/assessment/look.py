@@ -222,7 +222,7 @@ def _on_tiles(placed: PlacedLabels, cells: Sequence[Cell]) -> Iterator[str]:
     """Tells how many labelled vehicles lie on tiles; refuses none."""
     count = 0
     for cell in cells:
-        owner = np.full((1, 1), cell.sources[0]).repeat(cell.size_px, 0).repeat(cell.size_px, 1)
+        owner = np.full((cell.size_px, cell.size_px), cell.sources[0])
         count += sum(not row.ignore for row in placed.on(cell, owner))
     if not count:
         raise ImageryError(

@@ -47,7 +47,7 @@ _PLACE = ("device", "blender", "workers")
 
 
 class RunEnded(Exception):
-    """A step says why the steps after it would be in vain; the run ends there, without an error."""
+    """Raised by a step that makes the steps after it pointless; the run ends without an error."""
 
 
 @dataclass(frozen=True)

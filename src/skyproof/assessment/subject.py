@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 
 import torch
@@ -19,7 +19,7 @@ from skyproof.assessment.suite import Suite, side_px
 from skyproof.attacks.world import World
 from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.palette import ground_palette
-from skyproof.console import stage_bars
+from skyproof.cli.ground import inspect_shown
 from skyproof.detectors.answers import BlackBoxDetector
 from skyproof.detectors.card import (
     REFERENCE_DETECTORS,
@@ -35,7 +35,6 @@ from skyproof.files import file_digest
 from skyproof.imagery.labels.files import label_files, read_labels
 from skyproof.imagery.labels.label import Labels
 from skyproof.imagery.settings import SourceSettings
-from skyproof.imagery.tiles.planes import inspect_imagery
 from skyproof.imagery.tiles.sources import Source
 from skyproof.layout import Layout
 from skyproof.maite.models import ModelDetector, is_maite_model
@@ -82,9 +81,7 @@ class Subject:
         with suppress(SkyproofError):
             # Their own mistakes are told where labels are used.
             labels = self.labels
-        with stage_bars("images") as update:
-            comparing = partial(update, "compared")
-            return inspect_imagery(self.request.imagery, self.source_settings, labels, comparing)
+        return inspect_shown(self.request.imagery, self.source_settings, labels)
 
     @property
     def layout(self) -> Layout:

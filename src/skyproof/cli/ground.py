@@ -20,6 +20,7 @@ from skyproof.scenes.splits import SPLITS
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from skyproof.imagery.labels.label import Labels
     from skyproof.imagery.tiles.sources import Source
     from skyproof.imagery.tiles.tiling import TilingRecord
 
@@ -93,16 +94,13 @@ class Ground:
 
     def _cut(self, folder: Path, inspected: Sequence[Source] | None) -> TilingRecord:
         from skyproof.imagery.labels.files import read_labels
-        from skyproof.imagery.tiles.planes import inspect_imagery
         from skyproof.imagery.tiles.tiling import tile_imagery
         from skyproof.randomness import generator_of
 
         path = self.labels.path
         labels = None if path is None else (read_labels(path, self.labels.classes), self.labels)
         if inspected is None:
-            with stage_bars("images") as update_stage:
-                comparing, read = partial(update_stage, "compared"), labels and labels[0]
-                inspected = inspect_imagery(self.sources, self.source, read, comparing)
+            inspected = inspect_shown(self.sources, self.source, labels and labels[0])
         with progress_bar("ground tiles") as update:
             return tile_imagery(
                 self.sources,
@@ -114,3 +112,13 @@ class Ground:
                 sources=inspected,
                 progress=update,
             )
+
+
+def inspect_shown(
+    paths: Sequence[Path], settings: SourceSettings, labels: Labels | None
+) -> list[Source]:
+    """Finds out how to read images and which show the same ground, and shows the progress."""
+    from skyproof.imagery.tiles.planes import inspect_imagery
+
+    with stage_bars("images") as update:
+        return inspect_imagery(paths, settings, labels, partial(update, "compared"))

@@ -31,7 +31,7 @@ from skyproof.detectors.torchvision_detectors import (
     TorchvisionDetector,
 )
 from skyproof.detectors.ultralytics_detectors import YoloNetwork
-from skyproof.errors import ConfigurationError
+from skyproof.errors import ConfigurationError, is_full_memory
 
 # The mean and deviation of torchvision's own transform.
 MEAN = (0.485, 0.456, 0.406)
@@ -116,7 +116,7 @@ class ImportedDetector(TrainableDetector):
             yield scaled
         except (RuntimeError, ValueError, IndexError) as error:
             # Memory that is full tells nothing about the network.
-            if isinstance(error, torch.OutOfMemoryError) or "allocate" in str(error):
+            if isinstance(error, torch.OutOfMemoryError) or is_full_memory(error):
                 raise
             height, width = scaled.shape[-2:]
             raise ConfigurationError(

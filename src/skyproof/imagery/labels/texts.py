@@ -1,5 +1,6 @@
 """Reads labels as DOTA text or VisDrone text."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 from skyproof.imagery.labels.image_files import (
@@ -41,15 +42,21 @@ def _is_number(word: str) -> bool:
     return True
 
 
-def read_dota_labels(folder: Path) -> ImageLabels:
-    """Reads `x1 y1 ... x4 y4 class difficult` lines; difficult objects become ignore regions."""
-    images = LabelledImages(folder, "x1 y1 ... x4 y4 in pixels")
+def _lines(images: LabelledImages, folder: Path) -> Iterator[tuple[str, str, list[str]]]:
+    """Adds the image of every text in a folder, and yields its name with those of `text_lines`."""
     for text in label_texts(folder):
         image = image_of(text)
         images.add_image(text.stem, None if image is None else image_size_px(image))
         for where, words in text_lines(text):
-            if not words[0].lower().startswith(_DOTA_HEADERS):
-                images.add(text.stem, _dota_label(where, words), where)
+            yield text.stem, where, words
+
+
+def read_dota_labels(folder: Path) -> ImageLabels:
+    """Reads `x1 y1 ... x4 y4 class difficult` lines; difficult objects become ignore regions."""
+    images = LabelledImages(folder, "x1 y1 ... x4 y4 in pixels")
+    for name, where, words in _lines(images, folder):
+        if not words[0].lower().startswith(_DOTA_HEADERS):
+            images.add(name, _dota_label(where, words), where)
     return images.with_classes(images.classes_found)
 
 
@@ -86,15 +93,12 @@ def read_visdrone_labels(folder: Path) -> ImageLabels:
     """
     images = LabelledImages(folder, "left, top, width, height in pixels")
     flat = 0
-    for text in label_texts(folder):
-        image = image_of(text)
-        images.add_image(text.stem, None if image is None else image_size_px(image))
-        for where, words in text_lines(text):
-            label = _visdrone_label(where, words)
-            if label is None:
-                flat += 1
-            else:
-                images.add(text.stem, label, where)
+    for name, where, words in _lines(images, folder):
+        label = _visdrone_label(where, words)
+        if label is None:
+            flat += 1
+        else:
+            images.add(name, label, where)
     notes = [f"left out {counted(flat, 'box', 'boxes')} of {folder} without width or height"]
     return images.with_classes(_VISDRONE_CLASSES[1:], *notes[: bool(flat)])
 

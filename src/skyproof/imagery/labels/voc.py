@@ -44,8 +44,9 @@ def _annotations(folder: Path) -> Iterator[tuple[Path, Element]]:
 def read_voc_labels(folder: Path, files: list[tuple[Path, Element]]) -> ImageLabels:
     """Reads objects with an upright box; difficult ones become ignore regions.
 
-    The first pixel has the number 1, and the last one lies inside the box. The image is the one of
-    the file's own name, if it is found, or else the one that this file alone names.
+    The first pixel has the number 1, and the last one lies inside the box. The image has the name
+    of the file if there is such an image, and otherwise the name that the file states, unless other
+    files state it too.
     """
     images = LabelledImages(folder, "xmin, ymin, xmax, ymax in pixels")
     named = [PureWindowsPath((root.findtext("filename") or "").strip()).stem for _, root in files]

@@ -104,7 +104,7 @@ def read_georeference(
     if not plain and system is not None and not local:
         x, y, step = dataset.width / 2, dataset.height / 2, 16.0
         corner = [affine * place for place in ((x, y), (x + step, y), (x, y + step))]
-        lengths_m = _distances_m(system, corner)
+        lengths_m = distances_m(system, corner)
         if lengths_m is None:
             raise ImageryError(
                 f"{path} lies outside what its reference system covers; check its system (or "
@@ -187,7 +187,7 @@ def _check_resolution(path: Path, gsd_m: tuple[float, float], whose: str, notes:
         )
 
 
-def _distances_m(crs: CRS, places: Sequence[Point]) -> list[float] | None:
+def distances_m(crs: CRS, places: Sequence[Point]) -> list[float] | None:
     """Returns distances of nearby places from the first; None if one is nowhere on Earth."""
     degrees = to_reference_system(crs, DEGREES, places)
     if not all(math.isfinite(value) for place in degrees for value in place):
@@ -207,7 +207,7 @@ def _distances_m(crs: CRS, places: Sequence[Point]) -> list[float] | None:
 def is_true_to_scale(crs: CRS, place: Point) -> bool:
     """Tells whether a unit is a metre to 0.15 %, as in UTM and most national grids."""
     (x, y), step = place, 100.0
-    lengths_m = _distances_m(crs, [place, (x + step, y), (x, y + step)]) or [math.inf]
+    lengths_m = distances_m(crs, [place, (x + step, y), (x, y + step)]) or [math.inf]
     return crs.is_projected and all(abs(one / step - 1) < TRUE_TO_SCALE for one in lengths_m)
 
 

@@ -18,12 +18,18 @@ from rasterio.windows import Window
 from scipy.sparse import coo_array
 from scipy.sparse.linalg import spsolve
 
-from skyproof.imagery.labels.label import ImageLabels, Labels
+from skyproof.imagery.labels.label import ImageLabels, Label, Labels
 from skyproof.imagery.settings import SourceSettings
 from skyproof.imagery.tiles import shared_ground
 from skyproof.imagery.tiles.georeference import COARSEST_GSD_M, Georeference
 from skyproof.imagery.tiles.shared_ground import CoarseView, PhotographPair, find_pairs, groups_of
-from skyproof.imagery.tiles.sources import Source, SourceReader, inspect_sources, read_mask
+from skyproof.imagery.tiles.sources import (
+    Source,
+    SourceReader,
+    holds_data,
+    inspect_sources,
+    read_mask,
+)
 
 COARSE_PX = 256
 """Smaller side of most photographs when they are compared."""
@@ -35,11 +41,11 @@ LARGEST_MISFIT_M = 2.0
 ALIGNED_RAD = math.radians(5.0)
 WRONG_SCALE = 1.1
 MANY = 100
-"""Photographs that take longer than a few seconds."""
+"""Number of photographs from which their comparison shows its progress."""
 
-
-_Lie = tuple[complex, complex]
+_Pose = tuple[complex, complex]
 """Turn (with growth) and shift in metres that take a photograph to its plane."""
+_Value = TypeVar("_Value", bound=np.generic)
 
 
 def inspect_imagery(
@@ -80,12 +86,12 @@ def share_planes(
     pairs = find_pairs(
         views, None if progress is None else lambda done, every: progress(every + done, 2 * every)
     )
-    lying, groups = _lie(len(views), pairs)
+    poses, groups = _poses(len(views), pairs)
     shared = list(sources)
     neighbours = shared_ground.MOST_NEIGHBOURS
     for group in groups:
         for number in group:
-            source, (turn, shift) = sources[alone[number]], lying[number]
+            source, (turn, shift) = sources[alone[number]], poses[number]
             notes = [*source.notes]
             if len(alone) > neighbours + 1:
                 notes.append(
@@ -107,9 +113,6 @@ def share_planes(
     return shared
 
 
-_Value = TypeVar("_Value", bound=np.generic)
-
-
 def _coarse_picture(
     source: Source, reader: SourceReader, usual_m: float, labels: Labels | None
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_], float]:
@@ -126,7 +129,7 @@ def _coarse_picture(
         bands = sorted({*source.bands})
         values = dataset.read(bands, out_shape=(len(bands), *shape), resampling=Resampling.average)
         whole = Window(0, 0, dataset.width, dataset.height)
-        usable = (read_mask(dataset, source, whole, shape) > 0) & np.isfinite(values).all(0)
+        usable = (read_mask(dataset, source, whole, shape) > 0) & holds_data(values)
     low, high = source.value_range or (0.0, 255.0)
     grey = np.clip((values.astype(np.float32).mean(0) - low) / (high - low), 0, 1)
     grey = np.where(usable, grey, grey[usable].mean() if usable.any() else 0).astype(np.float32)
@@ -154,25 +157,22 @@ def _labelled(source: Source, labels: ImageLabels, shape: tuple[int, int]) -> ND
         corners = label.corners
         if len(corners) == 1:
             ((x, y),) = corners
-            corners = tuple((x + i * reach, y + j * reach) for i, j in _AROUND)
+            corners = Label.upright("", (x - reach, y - reach, x + reach, y + reach)).corners
         draw.polygon([(x * scale[0], y * scale[1]) for x, y in corners], fill=1, outline=1)
     return np.asarray(canvas)
 
 
-_AROUND = (-1, -1), (1, -1), (1, 1), (-1, 1)
-
-
-def _lie(count: int, pairs: Sequence[PhotographPair]) -> tuple[list[_Lie], list[list[int]]]:
+def _poses(count: int, pairs: Sequence[PhotographPair]) -> tuple[list[_Pose], list[list[int]]]:
     """Finds turn and shift of every photograph in the plane of its group, and the groups.
 
     Pairs that contradict the others are dropped, the worst first.
     """
     while True:
         groups = [*groups_of(count, pairs)]
-        lying = _solve(count, pairs, {group[0] for group in groups})
+        poses = _solve(count, pairs, {group[0] for group in groups})
         if not pairs:
             break
-        misfits_m = [_misfit_m(pair, lying) for pair in pairs]
+        misfits_m = [_misfit_m(pair, poses) for pair in pairs]
         # A wrong pair bends those around it.
         limit_m = max(LARGEST_MISFIT_M, 0.9 * max(misfits_m))
         kept = [pair for pair, off in zip(pairs, misfits_m, strict=True) if off <= limit_m]
@@ -180,14 +180,14 @@ def _lie(count: int, pairs: Sequence[PhotographPair]) -> tuple[list[_Lie], list[
             break
         pairs = kept
     for group in groups:
-        turn, shift = lying[_reference(group, lying)]
+        turn, shift = poses[_reference(group, poses)]
         for number in group:
-            its_turn, its_shift = lying[number]
-            lying[number] = its_turn / turn, (its_shift - shift) / turn
-    return lying, groups
+            its_turn, its_shift = poses[number]
+            poses[number] = its_turn / turn, (its_shift - shift) / turn
+    return poses, groups
 
 
-def _solve(count: int, pairs: Sequence[PhotographPair], fixed: set[int]) -> list[_Lie]:
+def _solve(count: int, pairs: Sequence[PhotographPair], fixed: set[int]) -> list[_Pose]:
     """Lays all photographs by least squares over the places of all pairs; some stay fixed.
 
     A turn with growth is a factor of complex numbers, so that all equations are linear.
@@ -212,18 +212,18 @@ def _solve(count: int, pairs: Sequence[PhotographPair], fixed: set[int]) -> list
     return [(complex(turn), complex(shift)) for turn, shift in answer.reshape(-1, 2)]
 
 
-def _misfit_m(pair: PhotographPair, lying: Sequence[_Lie]) -> float:
+def _misfit_m(pair: PhotographPair, poses: Sequence[_Pose]) -> float:
     """Returns how far a pair's places are from each other in the plane."""
-    (turn, shift), (other_turn, other_shift) = lying[pair.first], lying[pair.second]
+    (turn, shift), (other_turn, other_shift) = poses[pair.first], poses[pair.second]
     return max(
         abs(turn * (pair.turn * place + pair.shift) + shift - other_turn * place - other_shift)
         for place in pair.places
     )
 
 
-def _reference(group: Sequence[int], lying: Sequence[_Lie]) -> int:
+def _reference(group: Sequence[int], poses: Sequence[_Pose]) -> int:
     """Chooses the photograph whose sides and scale are most like those of the others."""
-    turns = np.array([lying[number][0] for number in group])
+    turns = np.array([poses[number][0] for number in group])
     quarter = (turns / np.abs(turns)) ** 4
     likewise = (np.abs(np.angle(quarter[:, None] / quarter)) < 4 * ALIGNED_RAD).sum(1)
     aligned = np.flatnonzero(likewise == likewise.max())

@@ -11,6 +11,7 @@ from scipy import fft, ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from skyproof.imagery.tiles.georeference import DEGREES, distances_m
 from skyproof.imagery.tiles.keypoints import Complex, Keypoints, Numbers, find_keypoints
 
 MOST_KEYPOINTS = 256
@@ -41,7 +42,6 @@ MOST_NEIGHBOURS = 250
 Frames of a flight lie beside each other in the order of their names.
 """
 
-METRES_PER_DEGREE = 111_000.0
 OBLIQUE_M = 200.0
 """How far beside its ground a camera may stand, with the error of its receiver."""
 
@@ -127,9 +127,7 @@ def _far_apart(one: CoarseView, other: CoarseView) -> bool:
     """Tells whether the cameras stood too far apart to see the same ground."""
     if one.stood is None or other.stood is None:
         return False
-    (east, north), (its_east, its_north) = one.stood, other.stood
-    squeeze = math.cos(math.radians(north))
-    apart_m = METRES_PER_DEGREE * math.hypot((east - its_east) * squeeze, north - its_north)
+    (apart_m,) = distances_m(DEGREES, [one.stood, other.stood]) or [0.0]
     diagonals_m = sum(math.hypot(*view.usable.shape) * view.pixel_m for view in (one, other))
     return apart_m > OBLIQUE_M + diagonals_m
 
@@ -183,10 +181,10 @@ def _matches(
 
 def _compared(one: CoarseView, two: CoarseView, matches: _Matches) -> PhotographPair | None:
     """Looks closely at two photographs."""
-    lies = _similarity(one, two, matches.points, matches.partners)
-    if lies is None:
+    found = _similarity(one, two, matches.points, matches.partners)
+    if found is None:
         return None
-    turn, shift, agreeing = lies
+    turn, shift, agreeing = found
     if not _overlap_agrees(one, two, turn, shift):
         return None
     places = agreeing * two.pixel_m
@@ -198,9 +196,10 @@ def _compared(one: CoarseView, two: CoarseView, matches: _Matches) -> Photograph
 def _similarity(
     one: CoarseView, two: CoarseView, points: Numbers, partners: Numbers
 ) -> tuple[complex, complex, Complex] | None:
-    """Finds how most matches say that `two` lies in `one`; every pair of matches suggests it.
+    """Finds the turn and shift from `two` to `one` that most matches support.
 
-    Returns turn and shift in metres, and the places in `two` of the matches that agree.
+    Every pair of matches suggests one. Returns them in metres, and the places in `two` of the
+    matches that agree.
     """
     here, there = one.keypoints, two.keypoints
     to = here.places[points] * one.pixel_m
