@@ -92,6 +92,58 @@ def test_a_callables_threshold_is_frozen_on_labelled_images():
         load_detector(lambda images: [([], [])] * len(images), images, name="mine")
 
 
+CAR, VAN, TREE = BOX, [11.0, 10.0, 21.0, 18.0], [40.0, 10.0, 50.0, 20.0]
+
+
+def labelled(labels):
+    return SimpleNamespace(boxes=[CAR, VAN, TREE], scores=[0.5, 0.7, 0.9], labels=labels)
+
+
+@pytest.mark.parametrize(
+    ("form", "classes"),
+    [
+        (labelled(["car", "van", "tree"]), ["car", "van"]),
+        (vars(labelled(np.array([3, 8, 0]))), ["3", "8"]),
+        (labelled(torch.tensor([3.0, 8.0, 0.0])), ["3", "8"]),
+    ],
+)
+def test_labels_tell_vehicles_from_other_classes(form, classes):
+    asked = BlackBoxDetector(Says(form), vehicle_classes=classes)
+    # A car that may also be a van is found once.
+    (found,) = asked.detect(IMAGES)
+    assert (found.boxes.tolist(), found.scores.tolist()) == ([VAN], pytest.approx([0.7]))
+    with asked.of_other_classes() as known:
+        (others,) = asked.detect(IMAGES)
+    assert (known, others.boxes.tolist(), others.scores.tolist()) == (
+        True,
+        [TREE],
+        pytest.approx([0.9]),
+    )
+    assert asked.detect(IMAGES)[0].boxes.tolist() == [VAN]
+    with BlackBoxDetector(Says(form)).of_other_classes() as known:
+        assert not known
+
+
+def test_labels_that_tell_no_vehicles_are_one_sentence():
+    image, box = torch.zeros(3, 40, 60, dtype=torch.uint8), torch.tensor([BOX])
+    images = Dataset.of_images([image], [box], gsd_m=0.125)
+    several = Says(labelled(["car", "car", "tree"]))
+    with pytest.raises(
+        ConfigurationError, match=r"2 classes \(car, tree\), and nothing .* vehicle_classes"
+    ):
+        load_detector(several, images)
+    wrong = BlackBoxDetector(several, vehicle_classes=["Car"])
+    with pytest.raises(ConfigurationError, match=r"\(Car\), but with car, tree; choose"):
+        wrong.freeze(images)
+    for labels in ([1], 7, [[1], [2], [3]], None):
+        with pytest.raises(DetectorAnswerError, match="vehicle_classes each box has one of the"):
+            BlackBoxDetector(Says(labelled(labels)), vehicle_classes=["1"]).detect(IMAGES)
+        BlackBoxDetector(Says(labelled(labels))).freeze(images)
+    pair = BlackBoxDetector(lambda images: [([CAR], [0.5])], vehicle_classes=["1"])
+    with pytest.raises(DetectorAnswerError, match="0 labels of 1 boxes"):
+        pair.detect(IMAGES)
+
+
 @pytest.mark.parametrize("empty", [[], torch.zeros(0), torch.zeros(0, 4)])
 def test_nothing_found_is_an_answer(empty):
     (found,) = BlackBoxDetector(Says(answer(empty, []))).detect(IMAGES)

@@ -279,6 +279,12 @@ def test_two_classes_of_one_vehicle_are_one_detection() -> None:
         ModelDetector(SaysAlways())
 
 
+def test_background_is_no_other_class() -> None:
+    theirs = SaysAlways(index2label={0: "__background__", 2: "car"})
+    with ModelDetector(theirs, vehicle_classes=["car"]).of_other_classes() as known:
+        assert not known
+
+
 def test_a_models_id_tells_its_threshold() -> None:
     loaded, other = load_detector("retinanet"), load_detector("retinanet")
     other.set_card(replace(other.card, threshold=0.9))
@@ -371,6 +377,13 @@ def test_a_maite_model_is_a_detector(folders: Folders, *, columns: bool) -> None
         assert torch.allclose(found.boxes, expected.boxes)
         assert torch.allclose(found.scores, expected.scores)
     (trees,) = ModelDetector(theirs, vehicle_classes=["tree"]).detect(image / 255)
+    with detector.of_other_classes() as known:
+        (others,) = detector.detect(image / 255)
+    assert known
+    assert torch.equal(others.boxes, trees.boxes)
+    assert torch.equal(others.scores, trees.scores)
+    (found,) = detector.detect(image / 255)
+    assert torch.allclose(found.scores, expected.scores)
     if columns:
         assert trees.scores.max() == pytest.approx(1 - float(expected.scores.min()), abs=1e-6)
     else:
@@ -386,6 +399,10 @@ def test_a_models_classes_are_named(classes: list[str], words: str) -> None:
         ModelDetector(SomebodysModel(["tree", "car"]), vehicle_classes=classes)
 
 
+def labelling(images: torch.Tensor) -> list[dict[str, Any]]:
+    return [{"boxes": [], "scores": [], "labels": []}] * len(images)
+
+
 def test_assess_asks_a_maite_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[tuple[Request, Any]] = []
     monkeypatch.setattr(
@@ -399,6 +416,10 @@ def test_assess_asks_a_maite_model(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     images = torch.rand(1, 3, 96, 96, generator=torch.Generator().manual_seed(0))
     (found,) = box.detect(images)
     assert len(found.boxes) == len(found.scores)
+    sp.assess(labelling, tmp_path / "run", vehicle_classes=["car"])
+    for each in (box, asked.pop()[1]):
+        with each.of_other_classes() as known:
+            assert known
     with pytest.raises(ConfigurationError, match="knows 2 classes"):
         sp.assess(theirs, tmp_path / "run")
     with pytest.raises(ConfigurationError, match="architecture is for checkpoint files"):

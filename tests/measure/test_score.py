@@ -3,7 +3,9 @@
 import json
 from contextlib import contextmanager
 from dataclasses import replace
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import torch
 from PIL import Image
@@ -16,6 +18,7 @@ from skyproof.detectors.card import DetectorCard
 from skyproof.detectors.detector import Detections, Detector
 from skyproof.detectors.matching import match_images
 from skyproof.errors import ConfigurationError, StoredFileError
+from skyproof.maite.models import ModelDetector
 from skyproof.measure import views
 from skyproof.measure.baseline import BaselineSet
 from skyproof.measure.measure import measure
@@ -157,10 +160,36 @@ class DayOrNight(Detector):
         self.dark = False
 
 
-def test_vehicles_called_another_class_are_counted_apart_from_those_that_vanish(scored, tmp_path):
+def day_or_night(images):
+    levels = [float(np.asarray(image).mean()) for image in images]
+    labels, boxes = np.array([1, 0]), BOX.expand(2, 4).numpy()
+    return [
+        SimpleNamespace(boxes=boxes, labels=labels, scores=np.array([level, 1 - level]))
+        for level in levels
+    ]
+
+
+def black_box():
+    card = DetectorCard("mine", threshold=0.6, gsd_m=0.125)
+    return BlackBoxDetector(day_or_night, card=card, vehicle_classes=["1"])
+
+
+def maite_model():
+    def model(images):
+        return day_or_night(images)
+
+    model.metadata = {"id": "mine", "index2label": {0: "tree", 1: "vehicle"}}
+    card = DetectorCard("mine", threshold=0.6, gsd_m=0.125)
+    return BlackBoxDetector(ModelDetector(model, vehicle_classes=["vehicle"]), card=card)
+
+
+@pytest.mark.parametrize("detector", [DayOrNight, black_box, maite_model])
+def test_vehicles_called_another_class_are_counted_apart_from_those_that_vanish(
+    detector, scored, tmp_path
+):
     # Of four vehicles found before, one is called another class and one is nothing.
     levels = {"T-U-0": [50, 127, 200, 200, 50], "R-U-0": [50, 50, 50, 50, 50]}
-    rows = scored([DayOrNight()], [200, 200, 200, 200, 50], levels)
+    rows = scored([detector()], [200, 200, 200, 200, 50], levels)
     known = {(row["camouflage"], row["match"]): row["called_another_class"] for row in rows}
     assert known.pop(("T-U", "centre_in_box")) == 0.25
     assert set(known.values()) == {None}

@@ -171,7 +171,8 @@ def assess(
         labels: file or folder of labels of the vehicles in the imagery.
         label_classes: vehicle classes of the labels; FIELD=CLASS also names the field of a vector
             file.
-        vehicle_classes: vehicle classes of a checkpoint or of a MAITE model.
+        vehicle_classes: vehicle classes of a checkpoint, of a MAITE model, or of a callable whose
+            answers also have `labels` (numbers as text).
         architecture: architecture of a torchvision checkpoint.
         detector_gsd: metres per pixel that a checkpoint or a callable was made for.
         accept: share of found vehicles that the worst attack may hide.

@@ -218,17 +218,19 @@ def checked_object(
     detector: object, name: str | None, vehicle_classes: Sequence[str], architecture: str | None
 ) -> BlackBoxDetector:
     """Returns a Python object as a detector of which only the answers are known, and checked."""
-    of_files = {"architecture": architecture, "vehicle_classes": vehicle_classes}
+    of_files: dict[str, object] = {"architecture": architecture}
     if is_maite_model(detector):
-        del of_files["vehicle_classes"]
         detector = ModelDetector(detector, vehicle_classes=vehicle_classes)
+        vehicle_classes = ()
+    elif isinstance(detector, Detector):
+        of_files["vehicle_classes"] = vehicle_classes
     for option, value in of_files.items():
         if value:
             raise ConfigurationError(
                 f"{option} is for checkpoint files, and the detector is an object, which decides "
                 "it itself; leave the option out."
             )
-    return BlackBoxDetector(detector, name)
+    return BlackBoxDetector(detector, name, vehicle_classes=vehicle_classes)
 
 
 def _digest(path: Path) -> str:

@@ -1,16 +1,18 @@
 """Any callable as a detector, whose answers are checked: it may fail, or answer nonsense."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torchvision import ops
 
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.card import DetectorCard
-from skyproof.detectors.detector import Detections, Detector
+from skyproof.detectors.detector import LOWEST_SCORE, SUPPRESSION_IOU, Detections, Detector
 from skyproof.detectors.validation import frozen_card
 from skyproof.errors import ConfigurationError, DetectorAnswerError, SkyproofError
 from skyproof.ranges import is_name
@@ -27,11 +29,16 @@ class BlackBoxDetector(Detector):
     A callable, or the method `detect` of an object, takes sRGB images `[B, 3, H, W]` in [0, 1] and
     gives boxes `[K, 4]` (left, top, right, bottom in pixels) and scores `[K]` in [0, 1] of each
     image: as a pair, or as attributes or items called `boxes` and `scores`. Its name in tables is
-    that of the card, `name`, or its own `name` or `__name__`.
+    that of the card, `name`, or its own `name` or `__name__`. With `vehicle_classes` an answer
+    also has `labels` `[K]`, the classes of its boxes: names, or numbers that are compared as text.
     """
 
     def __init__(
-        self, detector: object, name: str | None = None, card: DetectorCard | None = None
+        self,
+        detector: object,
+        name: str | None = None,
+        card: DetectorCard | None = None,
+        vehicle_classes: Sequence[str] = (),
     ) -> None:
         own = getattr(detector, "name", None) or getattr(detector, "__name__", "").strip("<>")
         self.name = own if name is None else name
@@ -40,6 +47,10 @@ class BlackBoxDetector(Detector):
         # The answers of another one are checked here, so once.
         wrapped = detector._detect if isinstance(detector, BlackBoxDetector) else detector
         self._detect: Any = getattr(wrapped, "detect", wrapped)
+        self._wrapped = detector
+        self._vehicle_classes = frozenset(vehicle_classes)
+        self._finds_others = False
+        self._classes_seen: set[str] = set()
         if not callable(self._detect) or not isinstance(self.name, str) or not is_name(self.name):
             raise ConfigurationError(
                 "A detector is a folder, a file, or a callable with a plain name (no separators, "
@@ -55,7 +66,59 @@ class BlackBoxDetector(Detector):
                 "Dataset."
             )
         remedy = "check that its boxes are left, top, right, bottom in pixels"
-        self.set_card(frozen_card(self, labelled, remedy))
+        self._classes_seen.clear()
+        try:
+            card = frozen_card(self, labelled, remedy)
+        except ConfigurationError:
+            self._refuse_unclear_classes()
+            raise
+        self._refuse_unclear_classes()
+        self.set_card(card)
+
+    def _refuse_unclear_classes(self) -> None:
+        """Refuses classes that do not tell vehicles from other objects."""
+        seen = ", ".join(sorted(self._classes_seen))[:500]
+        if not self._vehicle_classes and len(self._classes_seen) > 1:
+            raise ConfigurationError(
+                f"{self.name} answers with {len(self._classes_seen)} classes ({seen}), and nothing "
+                "says which of them are vehicles; name them with vehicle_classes of sp.assess, or "
+                "return vehicles alone."
+            )
+        if seen and self._vehicle_classes and not self._vehicle_classes & self._classes_seen:
+            asked = ", ".join(sorted(self._vehicle_classes))[:500]
+            raise ConfigurationError(
+                f"{self.name} answers with none of the vehicle_classes ({asked}), but with {seen}; "
+                "choose from these."
+            )
+
+    @contextmanager
+    def of_other_classes(self) -> Iterator[bool]:
+        """See `Detector.of_other_classes`."""
+        if isinstance(self._wrapped, Detector):
+            with self._wrapped.of_other_classes() as known:
+                yield known
+            return
+        self._finds_others = bool(self._vehicle_classes)
+        try:
+            yield self._finds_others
+        finally:
+            self._finds_others = False
+
+    def _are_meant(self, answer: Any, count: int) -> list[bool]:
+        """Which boxes of an answer are of the classes that are looked for; all without classes."""
+        try:
+            classes = _classes(answer) if count else []
+            if len(classes) != count:
+                raise ValueError(f"{len(classes)} labels of {count} boxes")
+        except Exception as error:
+            # Answers are objects of another program.
+            if not self._vehicle_classes:
+                return [True] * count
+            what = f"with vehicle_classes each box has one of the labels, got {_in_short(error)}"
+            raise _Wrong(what) from error
+        self._classes_seen.update(classes)
+        own = self._vehicle_classes
+        return [not own or (each in own) != self._finds_others for each in classes]
 
     @torch.no_grad()
     def detect(self, images: Float[Tensor, "B 3 H W"]) -> list[Detections]:
@@ -72,23 +135,42 @@ class BlackBoxDetector(Detector):
             ) from error
         size_px = (images.shape[-1], images.shape[-2])
         remedy = f"correct it, and {_GO_ON}"
-        return checked_answers(answers, self.name, [size_px] * len(images), remedy)
+        sizes_px = [size_px] * len(images)
+        found = checked_answers(answers, self.name, sizes_px, remedy, self._are_meant)
+        return [suppressed(each) for each in found] if self._vehicle_classes else found
+
+
+def suppressed(found: Detections) -> Detections:
+    """Keeps the best of boxes of several vehicle classes that overlap.
+
+    Most programs suppress class by class, so a van that may also be a car comes twice.
+    """
+    # NaN stays, so that a later check notices it.
+    likely = ~(found.scores < LOWEST_SCORE)
+    boxes, scores = found.boxes[likely], found.scores[likely]
+    best = ops.nms(boxes, scores, SUPPRESSION_IOU)
+    return Detections(boxes[best], scores[best])
 
 
 def checked_answers(
-    answers: Any, name: str, sizes_px: Sequence[tuple[int, int]], remedy: str = "correct it"
+    answers: Any,
+    name: str,
+    sizes_px: Sequence[tuple[int, int]],
+    remedy: str = "correct it",
+    are_meant: Callable[[Any, int], list[bool]] | None = None,
 ) -> list[Detections]:
     """Checks what the detector of a name answers to images of so many pixels, width first.
 
-    The result is sorted by falling score and cut at the borders of the images. A
-    DetectorAnswerError says what cannot be an answer, and what it looks like.
+    The result is sorted by falling score and cut at the borders of the images. `are_meant` gets an
+    answer and its number of boxes, and says which of them count. A DetectorAnswerError says what
+    cannot be an answer, and what it looks like.
     """
     beginning = f"The detector {name} gave an answer that cannot be one: "
     try:
         if not isinstance(answers, Sequence) or len(answers) != len(sizes_px):
             count = len(answers) if isinstance(answers, Sequence) else type(answers).__name__
             raise _Wrong(f"{len(sizes_px)} images expect as many answers, got {count}")
-        return [_checked(*each) for each in zip(answers, sizes_px, strict=True)]
+        return [_checked(*each, are_meant) for each in zip(answers, sizes_px, strict=True)]
     except _Wrong as wrong:
         raise DetectorAnswerError(f"{beginning}{wrong}; {remedy}.") from wrong.__cause__
 
@@ -97,7 +179,9 @@ class _Wrong(Exception):
     """An answer that cannot be one: what was expected, and what came."""
 
 
-def _checked(answer: Any, size_px: tuple[int, int]) -> Detections:
+def _checked(
+    answer: Any, size_px: tuple[int, int], are_meant: Callable[[Any, int], list[bool]] | None
+) -> Detections:
     try:
         boxes, scores = map(_numbers, _parts(answer))
     except Exception as error:
@@ -132,6 +216,9 @@ def _checked(answer: Any, size_px: tuple[int, int]) -> Detections:
         raise _Wrong(
             f"boxes lie in the image of {size_px[0]} x {size_px[1]} px, got one at {box}{enlarged}"
         )
+    if are_meant is not None:
+        meant = torch.tensor(are_meant(answer, len(scores)), dtype=torch.bool)
+        boxes, scores = boxes[meant], scores[meant]
     order = scores.argsort(descending=True, stable=True)
     return Detections(boxes[order].clamp(min=0).minimum(limits), scores[order])
 
@@ -152,6 +239,17 @@ def _parts(answer: Any) -> tuple[Any, Any]:
         boxes, scores = answer
         return boxes, scores
     return answer.boxes, answer.scores
+
+
+def _classes(answer: Any) -> list[str]:
+    """The class of each box as text; empty if the answer has no labels."""
+    mapping = isinstance(answer, Mapping)
+    labels = answer.get("labels", ()) if mapping else getattr(answer, "labels", ())
+    values = labels.detach().cpu().numpy() if isinstance(labels, Tensor) else np.array(labels)
+    if values.ndim != 1:
+        raise ValueError(f"labels of shape {[*values.shape]}")
+    numbers = np.issubdtype(values.dtype, np.floating)
+    return [f"{each:g}" if numbers else str(each) for each in values.tolist()]
 
 
 def _in_short(error: BaseException) -> str:

@@ -2,7 +2,8 @@
 
 import hashlib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal
 
@@ -10,11 +11,10 @@ import numpy as np
 import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
-from torchvision import ops
 
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.answers import BlackBoxDetector, checked_answers
-from skyproof.detectors.detector import LOWEST_SCORE, SUPPRESSION_IOU, Detections, Detector
+from skyproof.detectors.answers import BlackBoxDetector, checked_answers, suppressed
+from skyproof.detectors.detector import Detections, Detector
 from skyproof.detectors.inference import detect_all
 from skyproof.detectors.loaded import load_detector
 from skyproof.errors import ConfigurationError, DetectorAnswerError
@@ -85,13 +85,25 @@ class ModelDetector(BlackBoxDetector):
         self._model = model
         self._bytes = largest_value == 255
         self._labels = _vehicle_labels(metadata, vehicle_classes, name)
+        own = {*self._labels, *_backgrounds(metadata)}
+        self._others = [int(label) for label in metadata["index2label"] if int(label) not in own]
+
+    @contextmanager
+    def of_other_classes(self) -> Iterator[bool]:
+        """See `Detector.of_other_classes`."""
+        vehicles = self._labels
+        self._labels = self._others or vehicles
+        try:
+            yield bool(self._others)
+        finally:
+            self._labels = vehicles
 
     def _query(self, images: Float[Tensor, "B 3 H W"]) -> list[Detections]:
         shown = images.detach().cpu()
         if self._bytes:
             shown = (shown * 255).round().byte()
         answers = self._model([np.ascontiguousarray(image.numpy()) for image in shown])
-        return [_suppressed(found_vehicles(answer, self._labels)) for answer in answers]
+        return [suppressed(found_vehicles(answer, self._labels)) for answer in answers]
 
 
 def is_maite_model(thing: object) -> bool:
@@ -103,15 +115,6 @@ def is_maite_model(thing: object) -> bool:
         and isinstance(metadata, Mapping)
         and "id" in metadata
     )
-
-
-def _suppressed(found: Detections) -> Detections:
-    # NaN stays, so that a later check notices it.
-    likely = ~(found.scores < LOWEST_SCORE)
-    boxes, scores = found.boxes[likely], found.scores[likely]
-    # Most models suppress class by class: a van that may also be a car comes twice.
-    best = ops.nms(boxes, scores, SUPPRESSION_IOU)
-    return Detections(boxes[best], scores[best])
 
 
 def _vehicle_labels(
@@ -137,6 +140,13 @@ def _vehicle_labels(
             f"The MAITE model {name} knows no class {missing!r}; choose from {named}."
         )
     return [int(label) for label, text in known.items() if text in vehicle_classes]
+
+
+def _backgrounds(metadata: Mapping[str, Any]) -> list[int]:
+    """The labels of no object, to which some models give scores as well."""
+    known: Mapping[int, str] = metadata["index2label"]
+    names = {int(label): str(text).strip("_ ").lower() for label, text in known.items()}
+    return [label for label, name in names.items() if name == "background"]
 
 
 def _bytes_of(image: Any) -> UInt8[Tensor, "3 H W"]:
