@@ -92,6 +92,36 @@ def test_a_wrong_resolution_is_told_beside_too_few_tiles(call, skyproof: Skyproo
     skyproof(*call, "--gsd", 0.012, "--plan").refused("is 0.4 m long", "no image holds")
 
 
+def test_corners_in_place_of_sizes_are_seen_though_the_file_states_no_size_of_images(
+    call, photographs, tmp_path, skyproof: Skyproof
+):
+    def coco(box):
+        rows = [
+            {"id": 10 * image + place, "image_id": image, "category_id": 1, "bbox": box(place)}
+            for image in range(4)
+            for place in range(10)
+        ]
+        images = [{"id": number, "file_name": f"{number}.png"} for number in range(4)]
+        categories = [{"id": 1, "name": "car"}]
+        document = {"categories": categories, "images": images, "annotations": rows}
+        return written(tmp_path / "labels.json", json.dumps(document))
+
+    wide, high = CAR_PX
+
+    def corners(place):
+        left, top = 40 + 50 * place, 320
+        return [left, top, left + wide, top + high]
+
+    words = [coco(corners) if word == photographs else word for word in call]
+    words[3] = photographs
+    skyproof(*words, "--gsd", 0.125).refused(
+        "40 of 40 boxes of", "as if they were left, top, right, bottom; write left, top, width"
+    )
+    assert not (tmp_path / "run").exists()
+    coco(lambda place: [*corners(place)[:2], wide, high])
+    assert skyproof(*words, "--gsd", 0.125, "--plan").code == 0
+
+
 def test_labels_that_lie_on_no_tile_are_refused_at_once(
     call, photographs, tmp_path, skyproof: Skyproof
 ):

@@ -47,6 +47,22 @@ def test_boxes_scale_with_the_image(tmp_path):
     assert outside < 65
 
 
+def test_corners_in_place_of_sizes_are_refused_without_sizes_of_images(tmp_path):
+    folder = _folder(tmp_path, "")
+    document = {
+        "categories": [{"id": 1, "name": "car"}],
+        "images": [{"id": 0, "file_name": "one.png"}],
+        "annotations": [
+            {"id": x, "image_id": 0, "category_id": 1, "bbox": [100 + x, 50, 120 + x, 60]}
+            for x in range(10)
+        ],
+    }
+    labels = tmp_path / "labels.json"
+    labels.write_text(json.dumps(document))
+    with pytest.raises(ImageryError, match=r"10 of 10 boxes .* as if they were left, top, right, "):
+        _read(folder, labels=labels, classes=["car"])
+
+
 def test_border_becomes_ignored(tmp_path):
     # A centre 15 px from the left edge of a 20 px band, and one just inside of it.
     data = _read(
@@ -166,7 +182,7 @@ def test_black_and_white_images_are_refused(tmp_path):
     ("labels", "names", "options", "message"),
     [
         ("0 1.2 0.5 0.2 0.1\n", "car\nminibus\n", {}, "line 1 has a box outside"),
-        ("0 0.5 0.5 0 0.1\n", "car\nminibus\n", {}, "line 1 has a box without size"),
+        ("0 0.5 0.5 0 0.1\n", "car\nminibus\n", {}, "have no width or height"),
         ("0 0.5 0.5 0.1 0.1\n7 0.5 0.5 0.1 0.1\n", "car\nminibus\n", {}, "line 2 has class 7"),
         ("0 0.5 0.5 0.1\n", "car\nminibus\n", {}, "line 1 is not"),
         ("0 a 0.5 0.1 0.1\n", "car\nminibus\n", {}, "line 1 is not"),

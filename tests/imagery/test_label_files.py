@@ -63,7 +63,10 @@ def test_coco(tmp_path):
             annotation(bbox=[200, 15, 20, 10]),
             "annotation 5 has a box outside its image of 200 x 100 px",
         ),
-        (annotation(bbox=[30, 15, 0, 10]), "annotation 5 has a box without size"),
+        (
+            annotation(bbox=[30, 15, 0, 10]),
+            r"1 of 1 boxes of .* have no width or height \(first: annotation 5\); write left, ",
+        ),
         (annotation(bbox=[30, 15, 20]), "annotation 5 has a bbox of 3 numbers, not 4"),
         (annotation(bbox=[30, 15, 20, 10, 1]), "annotation 5 has a bbox of 5 numbers, not 4"),
         (annotation(bbox=[]), "annotation 5 has neither a bbox nor a segmentation"),
@@ -168,15 +171,18 @@ FORMS = {
 }
 
 
-def boxes(folder, form, lefts):
-    """Labels of one image of 200 x 100 px: boxes of 80 x 20 px at these positions."""
-    rows = [(left, 10 + number, left + 80, 30 + number) for number, left in enumerate(lefts)]
+def boxes(folder, form, lefts, widths=None):
+    """Labels of one image of 200 x 100 px: boxes of 20 px height at these positions."""
+    rows = [
+        (left, 10 + number, left + width, 30 + number)
+        for number, (left, width) in enumerate(zip(lefts, widths or [80] * len(lefts), strict=True))
+    ]
     picture(folder / "one.png")
     if form == "coco":
         document = coco(
             annotations=[
-                {"id": x, "image_id": 10, "category_id": 1, "bbox": [left, top, 80, 20]}
-                for x, (left, top, _, _) in enumerate(rows)
+                {"id": x, "image_id": 10, "category_id": 1, "bbox": [left, top, right - left, 20]}
+                for x, (left, top, right, _) in enumerate(rows)
             ]
         )
         return written(folder / "annotations.json", document).parent
@@ -186,12 +192,16 @@ def boxes(folder, form, lefts):
         text = "".join(f"<object>{one}</object>" for one in inside)
         return written(folder / "one.xml", f"<annotation>{text}</annotation>").parent
     lines = {
-        "visdrone": "{0},{1},80,20,1,4,0,0",
-        "yolo": "0 {4} {5} 0.4 0.2",
+        "visdrone": "{0},{1},{6},20,1,4,0,0",
+        "yolo": "0 {4} {5} {7} 0.2",
         "dota": "{0} {1} {2} {1} {2} {3} {0} {3} car 0",
     }
     text = "\n".join(
-        lines[form].format(*row, (row[0] + 40) / 200, (row[1] + 10) / 100) for row in rows
+        lines[form].format(
+            *(left, top, right, bottom),
+            *((left + right) / 400, (top + bottom) / 200, right - left, (right - left) / 200),
+        )
+        for left, top, right, bottom in rows
     )
     return written(folder / "one.txt", text).parent
 
@@ -307,7 +317,7 @@ def test_yolo_in_a_folder_of_labels(tmp_path):
     ("labels", "message"),
     [
         ("0 1.2 0.5 0.2 0.1\n", "line 1 has a box outside"),
-        ("0 0.5 0.5 0 0.1\n", "line 1 has a box without size"),
+        ("0 0.5 0.5 0 0.1\n", r"1 of 1 boxes .* \(first: one\.txt line 1\)"),
         ("0 0.5 0.5 0.1 0.1\n\n7 0.5 0.5 0.1 0.1\n", "line 3 has class 7 but there are 2 names"),
         ("0.5 0.5 0.5 0.1 0.1\n", r"line 1 has class 0\.5"),
         ("0 0.5 0.5 0.1\n", "line 1 is not 'class cx cy w h'"),
@@ -374,7 +384,6 @@ def test_dota(tmp_path):
         ("30 15 50 15 50 25 30 car 0", r"one\.txt line 2 is not 'x1 y1"),
         ("30 15 50 15 50 25 30 25 car maybe", "line 2 is not"),
         ("30 15 50 15 50 25 30 inf car 0", "line 2 is not"),
-        ("30 15 30 15 30 25 30 25 car 0", "line 2 has a box without size"),
         ("230 15 250 15 250 25 230 25 car 0", "line 2 has a box outside its image of 200 x 100 px"),
     ],
 )
@@ -451,6 +460,36 @@ def test_reference_systems(tmp_path, name, expected):
 def test_class_of_a_feature(tmp_path, properties, expected):
     document = features(shape("Point", [1, 2]), properties=properties)
     assert read_labels(written(tmp_path / "x.geojson", document)).labels[0].class_name == expected
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_few_boxes_without_size_are_left_out_with_a_note(tmp_path, form):
+    # The last pixel of Pascal VOC lies inside the box, and corners of DOTA have no order.
+    flat = {"voc": [-1, -9], "dota": [0, 0]}.get(form, [0, -9])
+    folder = boxes(tmp_path / "few", form, [50, 20, 60, 40], [80, flat[0], 80, flat[1]])
+    labels = read_labels(folder)
+    assert [label.bounds[1] for label in labels.images["one"]] == pytest.approx(
+        [9, 11] if form == "voc" else [10, 12]
+    )
+    first = {"coco": "annotation 1", "voc": "one.xml object 2"}.get(form, "one.txt line 2")
+    path = folder / "annotations.json" if form == "coco" else folder
+    assert f"left out 2 boxes of {path} without width or height (first: {first})" in labels.notes
+    folder = boxes(tmp_path / "most", form, [50, 20, 60], [flat[1], flat[0], 80])
+    with pytest.raises(ImageryError, match=r"2 of 3 boxes of .* have no width or height"):
+        read_labels(folder)
+
+
+def test_objects_that_enclose_no_ground_are_left_out_with_a_note(tmp_path):
+    line = [[1, 1], [1, 2], [1, 3], [1, 1]]
+    whole = [shape("Polygon", [RING]), shape("Point", [1, 2])]
+    path = written(tmp_path / "x.geojson", features(*whole, shape("Polygon", [line])))
+    labels = read_labels(path)
+    assert [len(label.corners) for label in labels.labels] == [4, 1]
+    (note,) = labels.notes
+    assert note == f"left out 1 box of {path} without width or height (first: object 3)"
+    written(path, features(shape("Polygon", [line]), whole[0], shape("Polygon", [line])))
+    with pytest.raises(ImageryError, match=r"2 of 3 boxes .* \(first: object 1\); write outlines"):
+        read_labels(path)
 
 
 def test_a_feature_may_ask_to_be_ignored(tmp_path):

@@ -141,6 +141,14 @@ def test_an_image_without_any_label_on_the_ground_is_named(tmp_path):
     assert not any("free of vehicles" in note for note in record.notes)
 
 
+def test_boxes_that_mostly_reach_beyond_images_are_refused_whoever_states_their_size(tmp_path):
+    beyond = [box(10 + x, 10, 300, 90) for x in range(6)]
+    inside = [box(10 + x, 10, 20 + x, 20) for x in range(5)]
+    with pytest.raises(ImageryError, match=r"6 of 11 boxes of labels\.geojson reach beyond their"):
+        one_image(tmp_path, pixels(*beyond, *inside))
+    one_image(tmp_path, pixels(*beyond[1:], *inside))
+
+
 def test_of_overlapping_sources_only_the_one_shown_labels(tmp_path):
     for stem in ("a", "b"):
         write_image(tmp_path / f"{stem}.tif", noise(128, 128), **PLACE)

@@ -150,10 +150,10 @@ def _look_at_imagery(its: Subject, mistakes: list[SkyproofError]) -> tuple[int, 
     with _noted(mistakes):
         if its.labels is not None:
             settings = LabelSettings(request.labels, request.label_classes)
+            placed = PlacedLabels(its.labels, settings, sources, cells) if cells else None
             # A wrong resolution may be why no tile fits.
             sentences.append(_labels(its.labels, settings, sources, grids, its))
-            if cells:
-                placed = PlacedLabels(its.labels, settings, sources, cells)
+            if placed is not None:
                 sentences += [*_on_tiles(placed, cells), *merged_notes(placed.notes)]
     with _noted(mistakes):
         if request.requirement is not None and cells:

@@ -19,6 +19,7 @@ from skyproof.imagery.labels.label import (
     ImageLabels,
     Label,
     cut_to_image,
+    refuse_beyond_images,
     require_classes,
     require_size,
     sort_labels,
@@ -99,8 +100,11 @@ def read_frames_folder(
     pictures: list[FramePicture] = []
     boxes: list[Tensor] = []
     ignore: list[Tensor] = []
-    for file in files:
-        source_px = _size_px(file)
+    sizes_px = {file: _size_px(file) for file in files}
+    refuse_beyond_images(
+        annotations, {file.stem: size_px for file, size_px in sizes_px.items()}, place
+    )
+    for file, source_px in sizes_px.items():
         of_image = _labels_of(file, source_px, annotations, place)
         truths, ignored = sort_labels(
             of_image, classes=classes, size_px=source_px, border_px=border_px

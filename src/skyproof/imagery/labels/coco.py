@@ -97,7 +97,7 @@ def read_coco_labels(path: Path) -> ImageLabels:
                 raise damaged(where, f"has a bbox of {len(row.bbox)} numbers, not 4")
             left, top, width, height = row.bbox
             box = (left, top, left + width, top + height)
-            label = upright_label(class_name, box, where, bool(ignore))
+            label = upright_label(class_name, box, bool(ignore))
         else:
             corners = _outline(row.segmentation, images.sizes_px.get(name), where)
             label = Label(class_name, corners, bool(ignore))
@@ -125,7 +125,7 @@ def _outline(
         raise damaged(where, what)
     try:
         runs = _runs(its.counts) if isinstance(its.counts, str) else its.counts
-        return upright_label("", _box_of(runs, its.size), where).corners
+        return Label.upright("", _box_of(runs, its.size)).corners
     except ValueError as error:
         raise damaged(where, f"has a mask whose run lengths {error}") from error
 
@@ -157,14 +157,14 @@ def _runs(text: str) -> list[int]:
 
 
 def _box_of(runs: Sequence[int], size: tuple[int, int]) -> Box:
-    """Returns the box around the pixels of every second run."""
+    """Returns the box around the pixels of every second run; it has no size without a pixel."""
     height, width = size
     ends = [*itertools.accumulate(runs)]
     if not ends or ends[-1] != height * width:
         raise ValueError(f"do not fill {width} x {height} px")
     spans = [(end - run, end - 1) for run, end in zip(runs[1::2], ends[1::2], strict=True) if run]
     if not spans:
-        raise ValueError("hold no pixel")
+        return 0.0, 0.0, 0.0, 0.0
     columns = [(first // height, last // height) for first, last in spans]
     left, right = min(first for first, _ in columns), max(last for _, last in columns) + 1
     top, bottom = min(first % height for first, _ in spans), max(last % height for _, last in spans)

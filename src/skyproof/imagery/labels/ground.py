@@ -18,6 +18,7 @@ from skyproof.imagery.labels.label import (
     GroundLabels,
     Label,
     Point,
+    flat_note,
     outline_corners,
     twice_note,
 )
@@ -82,6 +83,7 @@ def read_ground_labels(
     )
     labels: list[Label] = []
     parts: list[int] = []
+    flat: list[str] = []
     rows = zip(frame.geometry, records, names, strict=True)
     for number, (geometry, record, name) in enumerate(rows, 1):
         where = f"{path} object {number}"
@@ -91,6 +93,7 @@ def read_ground_labels(
                 f"{where} is neither a point nor a polygon with coordinates; correct it."
             )
         parts.append(len(shapes))
+        flat += [where for corners in shapes if _is_flat(corners)]
         for corners in shapes:
             if crs == "EPSG:4326" and any(abs(x) > 180 or abs(y) > 90 for x, y in corners):
                 raise ImageryError(
@@ -98,7 +101,8 @@ def read_ground_labels(
                     "and latitude; name the reference system in the file, or convert it (ogr2ogr "
                     "-t_srs EPSG:4326)."
                 )
-            labels.append(Label(name or UNNAMED, corners, _is_ignored(record)))
+            if not _is_flat(corners):
+                labels.append(Label(name or UNNAMED, corners, _is_ignored(record)))
     single = tuple(dict.fromkeys(labels))
     several = [count for count in parts if count > 1]
     if several:
@@ -110,6 +114,7 @@ def read_ground_labels(
         told = f"{unnamed} of {len(names)}"
         notes += (f"objects of {path} that name no class ({told}) count as {role}",)
     notes += twice_note(len(labels) - len(single), path)
+    notes += flat_note(flat, sum(parts), path, "outlines that enclose ground, or points")
     classes = dict.fromkeys(label.class_name for label in single)
     return GroundLabels(tuple(classes), single, crs, notes, field)
 
@@ -175,12 +180,16 @@ def _shapes(geometry: Any) -> list[tuple[Point, ...]]:
     return shapes if all(shapes) else []
 
 
+def _is_flat(corners: Sequence[Point]) -> bool:
+    """Whether an outline encloses no ground."""
+    return len(corners) > 1 and any(len({*values}) == 1 for values in zip(*corners, strict=True))
+
+
 def _corners(part: Any) -> tuple[Point, ...]:
     if part.is_empty or not (np.abs(part.bounds) <= LARGEST_NUMBER).all():
         return ()
     if part.geom_type == "Point":
         return ((part.x, part.y),)
-    left, bottom, right, top = part.bounds
-    if part.geom_type != "Polygon" or left == right or bottom == top:
+    if part.geom_type != "Polygon":
         return ()
     return outline_corners([(x, y) for x, y, *_ in part.exterior.coords[:-1]])

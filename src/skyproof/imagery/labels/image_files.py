@@ -9,7 +9,15 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
 from skyproof.errors import ImageryError
 from skyproof.files import refuse_special
-from skyproof.imagery.labels.label import Box, ImageLabels, Label, cut_to_image, twice_note
+from skyproof.imagery.labels.label import (
+    Box,
+    ImageLabels,
+    Label,
+    cut_to_image,
+    flat_note,
+    refuse_mostly_beyond,
+    twice_note,
+)
 from skyproof.imagery.rasters import (
     RASTER_SUFFIXES,
     open_raster,
@@ -24,12 +32,10 @@ IMAGE_FOLDERS = ("images", "JPEGImages")
 LABEL_FOLDERS = ("labelTxt", "labels", "annotations", "Annotations")
 """Names in place of those of images: by DOTA, Ultralytics, VisDrone and Pascal VOC."""
 _LARGEST_BYTES = 256 * 2**20
-_TELLING_BOXES = 10
-"""From so many boxes on, a file is refused if most of them reach beyond their images."""
 
 
 class LabelledImages:
-    """Collects labels by image, and refuses damaged ones.
+    """Collects labels by image, refuses damaged ones, and leaves out boxes without size.
 
     `box_form` are the numbers of a box, as the form of the labels wants them.
     """
@@ -39,7 +45,8 @@ class LabelledImages:
         self.box_form = box_form
         # Labels as keys keep their order, and none stands there twice.
         self.labels: dict[str, dict[Label, None]] = {}
-        self._twice = self._cut = self._placed = 0
+        self._added = self._twice = self._cut = self._placed = 0
+        self._flat: list[str] = []
         self.sizes_px: dict[str, tuple[int, int]] = {}
 
     def add_image(self, name: str, size_px: tuple[int, int] | None) -> None:
@@ -53,9 +60,11 @@ class LabelledImages:
             self.sizes_px[name] = size_px
 
     def add(self, name: str, label: Label, where: str) -> None:
+        self._added += 1
         left, top, right, bottom = label.bounds
         if left >= right or top >= bottom:
-            raise damaged(where, "has a box without size")
+            self._flat.append(where)
+            return
         if name in self.sizes_px:
             whole, label = label, cut_to_image(label, self.sizes_px[name], where)
             self._placed += 1
@@ -70,28 +79,22 @@ class LabelledImages:
     def with_classes(self, classes: Iterable[str], *notes: str) -> ImageLabels:
         images = {name: tuple(labels) for name, labels in self.labels.items()}
         notes += twice_note(self._twice, self.path)
-        if self._placed >= _TELLING_BOXES and 2 * self._cut > self._placed:
-            read = "left, top, right, bottom" if "width" in self.box_form else "of larger images"
-            raise ImageryError(
-                f"{self._cut} of {self._placed} boxes of {self.path} reach beyond their images, as "
-                f"if they were {read}; write {self.box_form}, or cut the boxes at the edge of the "
-                "image."
-            )
+        notes += flat_note(self._flat, self._added, self.path, self.box_form)
+        refuse_mostly_beyond(self._cut, self._placed, self.path, self.box_form)
         if self._cut:
             cut = counted(self._cut, "box", "boxes")
             notes += (f"cut {cut} of {self.path} at the edge of the image",)
-        return ImageLabels(tuple(classes), images, self.sizes_px, notes)
+        return ImageLabels(tuple(classes), images, self.sizes_px, notes, self.box_form)
 
 
 def damaged(where: str, what: str) -> ImageryError:
     return ImageryError(f"{where} {what}; correct it.")
 
 
-def upright_label(class_name: str, box: Box, where: str, ignore: bool = False) -> Label:
+def upright_label(class_name: str, box: Box, ignore: bool = False) -> Label:
+    """Returns the label of a box, without size if a side comes before its opposite one."""
     left, top, right, bottom = box
-    if not (left < right and top < bottom):
-        raise damaged(where, "has a box without size")
-    return Label.upright(class_name, box, ignore)
+    return Label.upright(class_name, (left, top, max(left, right), max(top, bottom)), ignore)
 
 
 def read_text(path: Path) -> str:

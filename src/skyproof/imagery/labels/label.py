@@ -21,6 +21,8 @@ UNNAMED = "vehicle"
 """The class of an object without a class name."""
 _SLACK = 0.005
 """Text with few digits rounds the sides of a box by this share."""
+_TELLING_BOXES = 10
+"""From so many boxes on, a file is refused if most of them reach beyond their images."""
 
 
 @dataclass(frozen=True)
@@ -84,13 +86,14 @@ class ImageLabels:
     """Labels in pixels, x right and y down from the top-left corner of the top-left pixel.
 
     Images are named by their files without the ending. Their widths and heights may not be known.
-    Notes tell repairs.
+    Notes tell repairs. `box_form` are the numbers of a box, as the form of the labels wants them.
     """
 
     classes: tuple[str, ...]
     images: Mapping[str, tuple[Label, ...]]
     sizes_px: Mapping[str, tuple[int, int]]
     notes: tuple[str, ...] = ()
+    box_form: str = ""
 
 
 @dataclass(frozen=True)
@@ -120,6 +123,23 @@ def outline_corners(points: Sequence[Point]) -> tuple[Point, ...]:
 def twice_note(count: int, path: object) -> tuple[str, ...]:
     """Tells how many labels repeat others to the last digit."""
     return (f"left out {counted(count, 'label')} of {path} that repeated others",) if count else ()
+
+
+def flat_note(flat: Sequence[str], total: int, path: object, form: str) -> tuple[str, ...]:
+    """Tells of boxes without width or height, of which `flat` says where; refuses mostly such.
+
+    torchvision and Ultralytics leave them out as well, also those whose sides are exchanged.
+    """
+    if not flat:
+        return ()
+    first = flat[0].removeprefix(str(path)).lstrip("/ ")
+    if 2 * len(flat) > total:
+        raise ImageryError(
+            f"{len(flat)} of {total} boxes of {path} have no width or height (first: {first}); "
+            f"write {form}."
+        )
+    boxes = counted(len(flat), "box", "boxes")
+    return (f"left out {boxes} of {path} without width or height (first: {first})",)
 
 
 def require_classes(labels: Labels, classes: Sequence[str], where: str) -> None:
@@ -166,8 +186,7 @@ def cut_to_image(label: Label, size_px: tuple[int, int], where: str) -> Label:
     """
     left, top, right, bottom = label.bounds
     width, height = size_px
-    xs, ys = ({*values} for values in zip(*label.corners, strict=True))
-    upright = len(label.corners) > 1 and xs == {left, right} and ys == {top, bottom}
+    upright = _is_upright(label)
     if upright:
         inside = left < width and top < height and right > 0 and bottom > 0
     else:
@@ -180,6 +199,35 @@ def cut_to_image(label: Label, size_px: tuple[int, int], where: str) -> Label:
         return label
     corners = [(min(max(x, 0.0), float(width)), y) for x, y in label.corners]
     return label.moved([(x, min(max(y, 0.0), float(height))) for x, y in corners])
+
+
+def _is_upright(label: Label) -> bool:
+    left, top, right, bottom = label.bounds
+    xs, ys = ({*values} for values in zip(*label.corners, strict=True))
+    return len(label.corners) > 1 and xs == {left, right} and ys == {top, bottom}
+
+
+def refuse_beyond_images(
+    labels: ImageLabels, sizes_px: Mapping[str, tuple[int, int]], path: object
+) -> None:
+    """Refuses labels that mostly reach beyond images whose size only the images themselves tell."""
+    placed = [
+        _is_upright(label) and not is_within(label.bounds, size_px)
+        for name, size_px in sizes_px.items()
+        if name not in labels.sizes_px
+        for label in labels.images.get(name, ())
+    ]
+    refuse_mostly_beyond(sum(placed), len(placed), path, labels.box_form)
+
+
+def refuse_mostly_beyond(beyond: int, placed: int, path: object, box_form: str) -> None:
+    """Refuses labels if most boxes, of ten or more, reach beyond their images."""
+    if placed >= _TELLING_BOXES and 2 * beyond > placed:
+        read = "left, top, right, bottom" if "width" in box_form else "of larger images"
+        raise ImageryError(
+            f"{beyond} of {placed} boxes of {path} reach beyond their images, as if they were "
+            f"{read}; write {box_form}, or cut the boxes at the edge of the image."
+        )
 
 
 def sort_labels(

@@ -11,9 +11,9 @@ from skyproof.imagery.labels.image_files import (
     image_size_px,
     label_texts,
     text_lines,
+    upright_label,
 )
 from skyproof.imagery.labels.label import ImageLabels, Label
-from skyproof.words import counted
 
 _DOTA_HEADERS = ("imagesource:", "gsd:")
 _VISDRONE_CLASSES = (
@@ -88,25 +88,18 @@ def _visdrone_numbers(words: list[str]) -> list[float]:
 def read_visdrone_labels(folder: Path) -> ImageLabels:
     """Reads `left,top,width,height,score,category,truncation,occlusion` lines.
 
-    Category 0 and score 0 are ignore regions. Boxes without size, as the public set holds some,
-    are left out with a note.
+    Category 0 and score 0 are ignore regions.
     """
     images = LabelledImages(folder, "left, top, width, height in pixels")
-    flat = 0
     for name, where, words in _lines(images, folder):
-        label = _visdrone_label(where, words)
-        if label is None:
-            flat += 1
-        else:
-            images.add(name, label, where)
-    notes = [f"left out {counted(flat, 'box', 'boxes')} of {folder} without width or height"]
-    return images.with_classes(_VISDRONE_CLASSES[1:], *notes[: bool(flat)])
+        images.add(name, _visdrone_label(where, words), where)
+    return images.with_classes(_VISDRONE_CLASSES[1:])
 
 
-def _visdrone_label(where: str, words: list[str]) -> Label | None:
+def _visdrone_label(where: str, words: list[str]) -> Label:
     try:
         left, top, width, height, score, category, _, _ = _visdrone_numbers(words)
-        if width < 0 or height < 0 or score not in (0, 1):
+        if score not in (0, 1):
             raise ValueError
     except ValueError as error:
         form = "'left,top,width,height,score,category,truncation,occlusion' with a score of 0 or 1"
@@ -114,8 +107,6 @@ def _visdrone_label(where: str, words: list[str]) -> Label | None:
     if category not in range(len(_VISDRONE_CLASSES)):
         what = f"has category {category:g} but VisDrone's are 0 to {len(_VISDRONE_CLASSES) - 1}"
         raise damaged(where, what)
-    if not (width and height):
-        return None
     box = (left, top, left + width, top + height)
     name = _VISDRONE_CLASSES[int(category)]
-    return Label.upright(name, box, ignore=score == 0 or category == 0)
+    return upright_label(name, box, ignore=score == 0 or category == 0)

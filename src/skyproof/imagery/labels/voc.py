@@ -82,4 +82,4 @@ def _label(row: Element, where: str) -> Label:
     if difficult not in ("0", "1", "false", "true"):
         raise damaged(where, f"is difficult as {difficult[:40]!r}, not 0 or 1")
     box = (left - 1, top - 1, right, bottom)
-    return upright_label(name, box, where, difficult in ("1", "true"))
+    return upright_label(name, box, difficult in ("1", "true"))

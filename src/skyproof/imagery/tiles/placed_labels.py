@@ -18,6 +18,7 @@ from skyproof.imagery.labels.label import (
     ImageLabels,
     Label,
     Labels,
+    refuse_beyond_images,
     require_classes,
     require_size,
     sort_labels,
@@ -141,6 +142,8 @@ class PlacedLabels:
                 f"The {total} labels of {path} belong to {len(unknown)} images ({unknown[0]}, ...) "
                 "and none of these is among the imagery; check the names."
             )
+        sizes_px = {each.path.stem: (each.width_px, each.height_px) for each in self._sources}
+        refuse_beyond_images(labels, sizes_px, path)
         planes = self._planes.items()
         for plane, number in [(name, one) for name, its in planes for one in sorted(its.sources)]:
             source = self._sources[number]

@@ -18,7 +18,7 @@ from rasterio.windows import Window
 from scipy.sparse import coo_array
 from scipy.sparse.linalg import spsolve
 
-from skyproof.imagery.labels.label import ImageLabels, Label, Labels
+from skyproof.imagery.labels.label import ImageLabels, Labels
 from skyproof.imagery.settings import SourceSettings
 from skyproof.imagery.tiles import shared_ground
 from skyproof.imagery.tiles.georeference import COARSEST_GSD_M, Georeference
@@ -34,8 +34,6 @@ from skyproof.imagery.tiles.sources import (
 COARSE_PX = 256
 """Smaller side of most photographs when they are compared."""
 MOST_COARSE_PX = 1024
-POINT_VEHICLE_M = 4.5
-"""Side of the square that hides a vehicle of which only a point is labelled."""
 LARGEST_MISFIT_M = 2.0
 """A pair that is off by more in the plane of all contradicts the others."""
 ALIGNED_RAD = math.radians(5.0)
@@ -152,13 +150,8 @@ def _labelled(source: Source, labels: ImageLabels, shape: tuple[int, int]) -> ND
     canvas = Image.new("1", shape[::-1])
     draw = ImageDraw.Draw(canvas)
     scale = shape[1] / source.width_px, shape[0] / source.height_px
-    reach = POINT_VEHICLE_M / 2 / source.georeference.gsd_m[0]
     for label in labels.images.get(source.path.stem, ()):
-        corners = label.corners
-        if len(corners) == 1:
-            ((x, y),) = corners
-            corners = Label.upright("", (x - reach, y - reach, x + reach, y + reach)).corners
-        draw.polygon([(x * scale[0], y * scale[1]) for x, y in corners], fill=1, outline=1)
+        draw.polygon([(x * scale[0], y * scale[1]) for x, y in label.corners], fill=1, outline=1)
     return np.asarray(canvas)
 
 
