@@ -92,6 +92,29 @@ def test_a_wrong_resolution_is_told_beside_too_few_tiles(call, skyproof: Skyproo
     skyproof(*call, "--gsd", 0.012, "--plan").refused("is 0.4 m long", "no image holds")
 
 
+def test_images_and_labels_in_folders_of_splits_are_found_and_told(
+    call, photographs, tmp_path, skyproof: Skyproof
+):
+    data = tmp_path / "data"
+    for file in photographs.iterdir():
+        split = "train" if file.stem in "01" else "val"
+        kind = {".png": f"images/{split}", ".txt": f"labels/{split}"}.get(file.suffix, ".")
+        (data / kind).mkdir(parents=True, exist_ok=True)
+        shutil.copy(file, data / kind / file.name)
+    for images, labels in ((data / "images", data / "labels"), (data, data)):
+        words = [labels if word == photographs else word for word in call]
+        words[3] = images
+        answer = skyproof(*words, "--gsd", 0.125, "--plan")
+        assert answer.code == 0, answer.err
+        assert "40 labelled vehicles, the median is 4.5 m long" in answer.out
+        for split in ("train", "val"):
+            assert f": found in the folder {data / 'images' / split}" in answer.out
+    shutil.copy(data / "images/train/0.png", data / "images/val/0.png")
+    skyproof(*words, "--gsd", 0.125, "--plan").refused(
+        "shares its name with another image", str(data / "images/train/0.png")
+    )
+
+
 def test_corners_in_place_of_sizes_are_seen_though_the_file_states_no_size_of_images(
     call, photographs, tmp_path, skyproof: Skyproof
 ):

@@ -313,6 +313,23 @@ def test_yolo_in_a_folder_of_labels(tmp_path):
         read_labels(tmp_path)
 
 
+def test_splits_with_folders_of_their_own_are_read_from_the_folder_above(tmp_path):
+    names = written(tmp_path / "data.yaml", "names: [car]\n")
+    written(tmp_path / "README.txt", "An export.\n")
+    texts = []
+    for split, name in (("train", "one"), ("valid", "two")):
+        picture(tmp_path / split / "images" / f"{name}.tif")
+        line = "0 0.2 0.2 0.1 0.1"
+        texts.append(written(tmp_path / split / "labels" / f"{name}.txt", line))
+    assert [*read_labels(tmp_path).images] == ["one", "two"]
+    assert {names, *texts} <= {*label_files(tmp_path)}
+    assert [file.stem for file in find_images([tmp_path])] == ["one", "two"]
+    # Texts beside images come first: what lies below may be a copy.
+    picture(tmp_path / "one.tif")
+    written(tmp_path / "one.txt", "")
+    assert read_labels(tmp_path).images == {"one": ()}
+
+
 @pytest.mark.parametrize(
     ("labels", "message"),
     [

@@ -10,6 +10,8 @@ from rasterio.enums import ColorInterp
 from rasterio.transform import Affine, from_origin
 
 from skyproof.errors import ConfigurationError, ImageryError
+from skyproof.imagery.settings import SourceSettings
+from skyproof.imagery.tiles.sources import find_images, inspect_sources
 from tests.imagery.made import all_tiles, noise, tile, write_image
 
 UTM = {"crs": "EPSG:32633", "transform": from_origin(500_000, 5_300_000, 0.125, 0.125)}
@@ -343,6 +345,23 @@ def test_bad_imagery_is_one_clear_sentence(tmp_path, make, options, message):
         tile([folder], tmp_path / "set", **options)
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "set" / "index.json").exists()
+
+
+def test_folders_below_are_searched_where_a_folder_holds_no_image(tmp_path):
+    folder, elsewhere = tmp_path / "imagery", tmp_path / "elsewhere"
+    for place, name in [("b/images", 1), ("a", 2), (".hidden", 3), ("../elsewhere", 4)]:
+        (folder / place).mkdir(parents=True)
+        write_image(folder / place / f"{name}.tif", noise(20, 20), **UTM)
+    (folder / "link").symlink_to(elsewhere)
+    assert find_images([folder]) == [folder / "a/2.tif", folder / "b/images/1.tif"]
+    sources = inspect_sources([folder / "a", folder / "b"], SourceSettings())
+    assert [source.notes for source in sources] == [(), ()]
+    sources = inspect_sources([folder], SourceSettings())
+    assert sources[0].notes == (f"found in the folder {folder / 'a'}",)
+    # Other folders may hold masks or copies.
+    (folder / "images/c").mkdir(parents=True)
+    write_image(folder / "images/c/5.tif", noise(20, 20), **UTM)
+    assert find_images([folder]) == [folder / "images/c/5.tif"]
 
 
 def test_missing_and_namesake_images_and_bad_settings(tmp_path):

@@ -24,7 +24,7 @@ from skyproof.imagery.labels.texts import (
     read_visdrone_labels,
 )
 from skyproof.imagery.labels.voc import read_voc_labels, voc_files
-from skyproof.imagery.labels.yolo import class_file, is_yolo_line, read_yolo_labels
+from skyproof.imagery.labels.yolo import class_file, is_yolo_line, read_yolo_labels, split_texts
 
 _FORMS = (
     "COCO (.json), GeoJSON (.geojson or .json), GeoPackage (.gpkg), Shapefile (.shp), or a folder "
@@ -75,7 +75,8 @@ def label_files(folder: Path) -> list[Path]:
     """Lists the files of a folder whose change may change its labels, without the images."""
     roots = _roots(folder)
     below = (file for root in roots for name in LABEL_FOLDERS for file in (root / name).rglob("*"))
-    found = {file for file in (*folder.iterdir(), *below) if file.suffix.lower() in _SUFFIXES}
+    every = (*folder.iterdir(), *below, *split_texts(folder))
+    found = {file for file in every if file.suffix.lower() in _SUFFIXES}
     return sorted(found | {names for names in map(class_file, roots) if names is not None})
 
 

@@ -51,19 +51,27 @@ def _is_shape(values: Sequence[float]) -> bool:
     return len(values) == 4 or (len(values) >= 6 and len(values) % 2 == 0)
 
 
+def split_texts(folder: Path) -> list[Path]:
+    """Returns the texts in folders called `labels` below a folder, such as those of splits."""
+    return sorted({*folder.glob(f"**/{_LABELS}/**/*.txt")})
+
+
 def read_yolo_labels(folder: Path, names: Path | None) -> ImageLabels:
     """Reads `class cx cy w h` or `class x1 y1 ... xn yn` lines, as shares of the image's sides.
 
     Four corners are kept; any other polygon becomes the upright box around it. Without class names,
-    one class may occur. Texts without an image of their name, such as a read-me, are skipped.
+    one class may occur. Texts without an image of their name, such as a read-me, are skipped. They
+    lie in the folder, in its `labels`, or else in folders called `labels` below it.
     """
     classes = None if names is None else _classes(names)
     images = LabelledImages(folder, "centre x, centre y, width, height as shares of the image")
     root = folder / _LABELS
-    for text in label_texts(root if root.is_dir() else folder):
-        image = image_of(text)
-        if image is None:
-            continue
+    beside, below = label_texts(root if root.is_dir() else folder), split_texts(folder)
+    paired = (
+        [(text, image) for text in texts if (image := image_of(text)) is not None]
+        for texts in (beside, below)
+    )
+    for text, image in next(filter(None, paired), []):
         size_px = image_size_px(image)
         images.add_image(image.stem, size_px)
         for where, words in text_lines(text):

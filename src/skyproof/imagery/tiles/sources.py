@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
+import os
 import warnings
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -87,7 +88,7 @@ class Source:
 
 def find_images(paths: Sequence[Path]) -> list[Path]:
     """Lists the images among `paths`, and in the folders among them, or in their `images/` or
-    `JPEGImages/`.
+    `JPEGImages/`, or else in the folders below, as sets of training data keep them.
 
     Raises:
         ImageryError: a path is missing, a folder holds no image, or two images share a name.
@@ -95,12 +96,13 @@ def find_images(paths: Sequence[Path]) -> list[Path]:
     files: list[Path] = []
     for path in map(Path, paths):
         if path.is_dir():
-            places = (path, *(path / name for name in IMAGE_FOLDERS))
-            images = next(filter(None, map(_images_in, places)), [])
+            folder, *usual = _places(path)
+            near, below = map(_images_in, (folder, *usual)), map(_images_below, (*usual, folder))
+            images = next(filter(None, chain(near, below)), [])
             if not images:
                 raise ImageryError(
-                    f"{path} holds no image ({', '.join(RASTER_SUFFIXES)}), and other folders in "
-                    "it are not searched; give the folder of the images, or a file."
+                    f"{path} holds no image ({', '.join(RASTER_SUFFIXES)}); give the folder of the "
+                    "images, or a file."
                 )
             files += images
         elif path.is_file():
@@ -109,12 +111,19 @@ def find_images(paths: Sequence[Path]) -> list[Path]:
             raise ImageryError(f"{path} is missing; check the paths of the imagery.")
     if not files:
         raise ImageryError("No imagery was given; name images or folders of them.")
-    seen: set[str] = set()
+    seen: dict[str, Path] = {}
     for file in files:
-        if file.stem in seen:
-            raise ImageryError(f"{file} shares its name with another image; rename one of them.")
-        seen.add(file.stem)
+        other = seen.setdefault(file.stem, file)
+        if other is not file:
+            raise ImageryError(
+                f"{file} shares its name with another image, {other}, and labels and tiles go by "
+                "these names; rename one of them, or leave it out."
+            )
     return files
+
+
+def _places(path: Path) -> list[Path]:
+    return [path, *(path / name for name in IMAGE_FOLDERS)]
 
 
 def _images_in(folder: Path) -> list[Path]:
@@ -126,6 +135,15 @@ def _images_in(folder: Path) -> list[Path]:
         for file in folder.iterdir()
         if file.suffix.lower() in RASTER_SUFFIXES and not file.name.startswith(".")
     )
+
+
+def _images_below(folder: Path) -> list[Path]:
+    """Lists the images in the folders below; links to folders and hidden folders are left out."""
+    images: list[Path] = []
+    for parent, folders, _ in os.walk(folder):
+        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        images += _images_in(Path(parent))
+    return images
 
 
 class SourceReader:
@@ -212,13 +230,13 @@ def inspect_source(path: Path, settings: SourceSettings, reader: SourceReader) -
         notes += _doubts(source)
         collars = find_collars(dataset, sorted({*bands}), _unmasked_corners(dataset, source))
         notes += [f"its {one.colour} collar is left out" for one in collars]
-        source = dataclasses.replace(source, collars=collars, notes=tuple(notes))
+        source = replace(source, collars=collars, notes=tuple(notes))
         kinds = [dataset.dtypes[band - 1] for band in bands]
         if {*kinds} == {"uint8"}:
             return source
         low, high = _value_range(dataset, source, notes)
     notes.append(f"{kinds[0]} values from {low:.6g} to {high:.6g} become 0 to 255")
-    return dataclasses.replace(source, value_range=(low, high), notes=tuple(notes))
+    return replace(source, value_range=(low, high), notes=tuple(notes))
 
 
 def _doubts(source: Source) -> list[str]:
@@ -245,8 +263,15 @@ def _unmasked_corners(dataset: DatasetReader, source: Source) -> list[Window]:
 
 def inspect_sources(paths: Sequence[Path], settings: SourceSettings) -> list[Source]:
     """Finds out how to read the images among `paths`; see `find_images` and `inspect_source`."""
+    given = {place for path in map(Path, paths) for place in _places(path)}
     with SourceReader() as reader:
-        return [inspect_source(path, settings, reader) for path in find_images(paths)]
+        sources = [inspect_source(path, settings, reader) for path in find_images(paths)]
+    return [
+        source
+        if {source.path, source.path.parent} & given
+        else replace(source, notes=(*source.notes, f"found in the folder {source.path.parent}"))
+        for source in sources
+    ]
 
 
 def notes_on(sources: Sequence[Source]) -> list[str]:
