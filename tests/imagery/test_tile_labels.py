@@ -147,6 +147,8 @@ def test_boxes_that_mostly_reach_beyond_images_are_refused_whoever_states_their_
     with pytest.raises(ImageryError, match=r"6 of 11 boxes of labels\.geojson reach beyond their"):
         one_image(tmp_path, pixels(*beyond, *inside))
     one_image(tmp_path, pixels(*beyond[1:], *inside))
+    with pytest.raises(ImageryError, match=r"has 256 x 128 px but labels\.geojson says 400 x 128"):
+        one_image(tmp_path, pixels(*beyond, *inside, sizes={"a": (400, 128)}))
 
 
 def test_of_overlapping_sources_only_the_one_shown_labels(tmp_path):

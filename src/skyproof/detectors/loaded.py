@@ -93,7 +93,7 @@ def load_detector(
     Raises:
         StoredFileError: a file is missing, damaged, of another format, or the tensors do not fit.
         ConfigurationError: the folder holds a YOLOv5 and the yolo extra is missing, or a callable
-            has no name or finds no vehicle.
+            has no name, finds no vehicle, or answers with several classes.
     """
     if not isinstance(detector, str | Path):
         black_box = BlackBoxDetector(detector, name)
