@@ -1,6 +1,7 @@
 """The attack with stand-in detectors: it learns, resumes exactly, refuses what cannot work."""
 
 import dataclasses
+import itertools
 import json
 import math
 
@@ -8,7 +9,7 @@ import pytest
 import torch
 from torch import nn
 
-from skyproof.attacks.attack import attack
+from skyproof.attacks.attack import add_gradients, attack
 from skyproof.attacks.objective import (
     balanced_weights,
     empty_truth_losses,
@@ -298,6 +299,34 @@ def test_the_objective_weighs_images_up_in_which_a_detector_is_nearly_fooled():
     assert asked.losses == pytest.approx(found.losses)
 
 
+@pytest.mark.parametrize("batch_size", [1, 4, 5])
+def test_the_gradient_of_the_halves_is_that_of_the_batch(world, batch_size):
+    camouflage, detectors = start(), [StandIn("one").eval(), StandIn("two", 1).eval()]
+    weights = {"one": 1.5, "two": 0.7}
+    scenes = world.step_scenes(batch_size, 0, 1)
+    found = []
+    threads = torch.get_num_threads()
+    for count in (1, 2):
+        torch.set_num_threads(count)
+        try:
+            with frozen(detectors):
+                now, shown = add_gradients(camouflage, detectors, weights, world, scenes)
+        finally:
+            torch.set_num_threads(threads)
+        found.append((now, camouflage.cells.grad))
+        camouflage.cells.grad = None
+    assert found[0][0] == found[1][0]
+    assert torch.equal(found[0][1], found[1][1])
+    images = world.frames(camouflage, scenes).image
+    torch.testing.assert_close(torch.cat([frames.image for frames in shown]), images.detach())
+    whole, gradient = objective_and_gradient(detectors, weights, images)
+    images.backward(gradient)
+    assert found[0][0].loss == pytest.approx(whole.loss, rel=1e-5)
+    assert found[0][0].losses == pytest.approx(whole.losses, rel=1e-5)
+    difference = (camouflage.cells.grad - found[0][1]).norm()
+    assert difference < 1e-5 * camouflage.cells.grad.norm()
+
+
 def test_a_detector_whose_loss_falls_below_zero_is_refused(tmp_path, world):
     class Likelihood(StandIn):
         def loss(self, images, targets):
@@ -391,12 +420,12 @@ class Breaking(StandIn):
 
     def __init__(self, first_bad, what="loss"):
         super().__init__("breaking")
-        self.count, self.first_bad, self.what = 0, first_bad, what
+        self.calls, self.first_bad, self.what = itertools.count(1), first_bad, what
 
     def loss(self, images, targets):
-        self.count += 1
+        call = next(self.calls)
         loss = super().loss(images, targets)
-        if self.count < self.first_bad:
+        if call < self.first_bad:
             return loss
         if self.what == "loss":
             return loss * float("nan")
@@ -409,8 +438,9 @@ class Breaking(StandIn):
     ("first_bad", "what", "said"),
     [
         (1, "loss", "loss of the detector breaking is nan"),
-        (7, "loss", "is nan at step 5; attack again in another folder"),
-        (8, "gradient", "What step 6 left .* begin again in another folder"),
+        # Two calls balance the losses, and each step takes two, one for each half of its batch.
+        (11, "loss", "is nan at step 5; attack again in another folder"),
+        (13, "gradient", "What step 6 left .* begin again in another folder"),
     ],
 )
 def test_what_is_not_finite_stops_an_attack_and_is_not_stored(

@@ -387,7 +387,7 @@ def test_large_tiles_are_looked_at_in_windows():
         sizes = ()
 
         def detect(self, images):
-            self.sizes = (*self.sizes, tuple(images.shape[2:]))
+            self.sizes = (*self.sizes, tuple(images.shape))
             found = []
             for image in images:
                 rows, columns = torch.nonzero(image[0] > 0.9, as_tuple=True)
@@ -406,7 +406,7 @@ def test_large_tiles_are_looked_at_in_windows():
     image = torch.zeros(3, 500, 1900, dtype=torch.uint8)
     image[0, 300:310, 1100:1120] = 255
     assert finder(detector).detections(image).tolist() == [[1100, 300, 1120, 310]]
-    assert detector.sizes == ((384, 384),) * 14
+    assert detector.sizes == ((8, 3, 320, 384), (6, 3, 320, 384))
 
 
 def test_the_sheet_shows_changed_tiles_before_and_after(tmp_path):

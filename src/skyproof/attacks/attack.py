@@ -4,7 +4,7 @@ import copy
 import math
 import statistics
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +38,8 @@ from skyproof.detectors.inference import device_of
 from skyproof.errors import ConfigurationError, NotFiniteError
 from skyproof.files import alone, write_beside
 from skyproof.loop import Loop, LoopPart, refuse_other
+from skyproof.render.frames import Frames
+from skyproof.scenes.scene import Scene
 from skyproof.storage import tensors_digest, weights_digest
 
 _CONVERGED = 0.02
@@ -175,7 +177,7 @@ class _Run:
             row = {"step": step, "loss": now.loss, "losses": now.losses}
             self.loop.report({**row, "weights": facts["weights"]})
             if step % settings.preview_every == 0 or step in (1, settings.steps):
-                _write_preview(self.loop.folder / "previews" / f"{step:06d}.png", images.detach())
+                _write_preview(self.loop.folder / "previews" / f"{step:06d}.png", images)
             if step in settings.keep_at:
                 self._snapshot(f"step{step}", finalise=True)
             if self.held_out is not None and step == settings.steps // 2:
@@ -223,17 +225,16 @@ class _Run:
         camouflage, settings, step = self.camouflage, self.settings, self.loop.step
         camouflage.before_step_(step, settings.steps)
         scenes = self.world.step_scenes(settings.batch_size, settings.seed, step)
-        images = self.world.frames(camouflage, scenes).image
         weights = self.loop.facts["weights"]
-        now, gradient = objective_and_gradient(self.detectors, weights, images)
+        now, shown = add_gradients(camouflage, self.detectors, weights, self.world, scenes)
         if not math.isfinite(now.loss):
             raise NotFiniteError(
                 f"The loss of {camouflage.name} is {now.loss} at step {step}; attack again in "
                 f"another folder, with a lower learning rate than {settings.learning_rate:g}."
             )
-        descend(camouflage, optimiser, images, gradient)
+        descend(camouflage, optimiser)
         schedule.step()
-        return now, images
+        return now, torch.cat([frames.image for frames in shown])
 
     def _mean_losses(self) -> dict[str, float]:
         losses = _losses(self.camouflage, self.detectors, self.world, self.settings)
@@ -272,16 +273,45 @@ def make_optimiser(camouflage: Camouflage, settings: AttackSettings) -> torch.op
     return torch.optim.Adam(groups)
 
 
-def descend(
+def add_gradients(
     camouflage: Camouflage,
-    optimiser: torch.optim.Optimizer,
-    images: Float[Tensor, "B 3 H W"],
-    gradient: Float[Tensor, "B 3 H W"],
-) -> None:
-    """Moves the camouflage one step down, by the gradient of a loss with respect to its images."""
-    optimiser.zero_grad(set_to_none=True)
-    images.backward(gradient)
+    detectors: Sequence[TrainableDetector],
+    weights: Mapping[str, float],
+    world: World,
+    scenes: Sequence[Scene],
+) -> tuple[Objective, list[Frames]]:
+    """Adds the gradient of the objective on some scenes to that of the camouflage's parameters.
+
+    On a CPU two halves of the scenes are worked on at a time, whatever the number of cores, so that
+    the sum is the same. Returns the objective, and the frames, which hold no gradient any more.
+    """
+    moving = [value for value in camouflage.parameters() if value.requires_grad]
+
+    def show(part: Sequence[Scene]) -> tuple[Objective, Frames, Sequence[Tensor | None]]:
+        frames = world.frames(camouflage, part)
+        share = len(part) / len(scenes)
+        now, gradient = objective_and_gradient(detectors, weights, frames.image, share)
+        gradients = torch.autograd.grad(frames.image, moving, gradient, allow_unused=True)
+        return now, replace(frames, image=frames.image.detach()), gradients
+
+    halves = [scenes]
+    if device_of(camouflage).type == "cpu" and len(scenes) > 1:
+        middle = len(scenes) // 2
+        halves = [scenes[:middle], scenes[middle:]]
+    parts = at_a_time(show, halves, detectors)
+    for _, _, gradients in parts:
+        for value, gradient in zip(moving, gradients, strict=True):
+            if gradient is not None:
+                value.grad = gradient if value.grad is None else value.grad + gradient
+    losses = {name: sum(now.losses[name] for now, _, _ in parts) for name in parts[0][0].losses}
+    now = Objective(sum(now.loss for now, _, _ in parts), losses)
+    return now, [frames for _, frames, _ in parts]
+
+
+def descend(camouflage: Camouflage, optimiser: torch.optim.Optimizer) -> None:
+    """Moves the camouflage one step down the gradient of its parameters, and forgets that."""
     optimiser.step()
+    optimiser.zero_grad(set_to_none=True)
     camouflage.project_()
 
 

@@ -14,8 +14,14 @@ from scipy import special
 from torch import Tensor
 
 from skyproof.attacks import held_out
-from skyproof.attacks.attack import attack, attack_weights, descend, make_optimiser
-from skyproof.attacks.objective import frozen, objective_and_gradient, target_scores
+from skyproof.attacks.attack import (
+    add_gradients,
+    attack,
+    attack_weights,
+    descend,
+    make_optimiser,
+)
+from skyproof.attacks.objective import frozen, target_scores
 from skyproof.attacks.settings import AttackSettings
 from skyproof.attacks.world import World
 from skyproof.camouflage import make
@@ -188,13 +194,12 @@ def sign_test(
             scenes = world.step_scenes(settings.batch_size, settings.seed, -batch)
             moved = copy.deepcopy(camouflage)
             moved.before_step_(1, settings.steps)
-            frames = world.frames(moved, scenes)
-            _, gradient = objective_and_gradient(detectors, weights, frames.image)
-            descend(moved, make_optimiser(moved, settings), frames.image, gradient)
+            _, shown = add_gradients(moved, detectors, weights, world, scenes)
+            descend(moved, make_optimiser(moved, settings))
             with torch.no_grad():
                 stepped = world.frames(moved, scenes)
             for detector in detectors:
-                before[detector.name].append(target_scores(detector, frames, gsd_m))
+                before[detector.name] += [target_scores(detector, each, gsd_m) for each in shown]
                 after[detector.name].append(target_scores(detector, stepped, gsd_m))
     for name, scores in (*before.items(), *after.items()):
         if not bool(torch.cat(scores).isfinite().all()):

@@ -58,20 +58,22 @@ def objective_and_gradient(
     detectors: Sequence[TrainableDetector],
     weights: Mapping[str, float],
     images: Float[Tensor, "B 3 H W"],
+    share: float = 1.0,
 ) -> tuple[Objective, Float[Tensor, "B 3 H W"]]:
     """Gives the objective and its gradient with respect to the images, arguments as `objective`.
 
-    Detectors run one after the other, so that only one network's activations are held.
+    Both are multiplied by the images' share of a batch. Detectors run one after the other, so that
+    only one network's activations are held.
     """
     leaf = images.detach().contiguous(memory_format=torch.channels_last).requires_grad_()
     total = 0.0
     losses = {}
     for detector in detectors:
         own = empty_truth_losses([detector], leaf)[detector.name]
-        term = _term(weights[detector.name], own)
+        term = share * _term(weights[detector.name], own)
         term.backward()
         total += float(term.detach())
-        losses[detector.name] = float(own.detach().mean())
+        losses[detector.name] = share * float(own.detach().mean())
     assert leaf.grad is not None
     return Objective(total, losses), leaf.grad
 

@@ -97,7 +97,7 @@ class World:
     def frames(
         self,
         camouflage: Camouflage | None,
-        scenes: list[Scene],
+        scenes: Sequence[Scene],
         device: torch.device | None = None,
     ) -> Frames:
         """Renders the scenes, on the camouflage's device, or without camouflage on `device`."""

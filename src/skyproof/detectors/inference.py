@@ -1,6 +1,7 @@
 """Runs detectors over many images, and over large images window by window."""
 
 import itertools
+import math
 from collections.abc import Iterator, Sequence
 
 import torch
@@ -17,6 +18,9 @@ LARGEST_WHOLE_PX = 1024
 
 WINDOW_PX = 384
 """The paper's tile: a window of 48 m holds at most the 100 vehicles that a detector can return."""
+
+_STRIDE_PX = 32
+"""Networks pad images to a multiple of it."""
 
 # Two cars long.
 _WINDOW_OVERLAP_PX = 96
@@ -36,9 +40,9 @@ def detect_by_each(detectors: Sequence[Detector], dataset: Dataset) -> list[list
     """Gives each detector's detections of every image, in its pixels, by falling score.
 
     Images are decoded batch by batch, once for all detectors. An image of more than 1024 px a side
-    is split into windows of 384 px that overlap by at least 96 px; the window whose core holds a
-    detection's centre keeps it, and duplicates at the seams are suppressed. So neither memory nor a
-    detector's largest number of detections limits the result on a large image.
+    is split into windows of at most 384 px that overlap by at least 96 px; the window whose core
+    holds a detection's centre keeps it, and duplicates at the seams are suppressed. So neither
+    memory nor a detector's largest number of detections limits the result on a large image.
     """
     sizes = dataset.sizes_px
     results: list[list[Detections]] = [[] for _ in detectors]
@@ -54,7 +58,7 @@ def detect_by_each(detectors: Sequence[Detector], dataset: Dataset) -> list[list
             if shown is not None:
                 found += detect_batch(detector, shown)
             else:
-                found.append(_detect_in_windows(detector, dataset.pictures[batch[0]]))
+                found.append(detect_in_windows(detector, dataset.pictures[batch[0]]))
     return results
 
 
@@ -85,11 +89,13 @@ def covering_windows(size_px: tuple[int, int]) -> list[Window]:
 
 
 def _starts(side_px: int) -> tuple[list[int], int]:
-    """The starts of the windows along one side, and their length."""
-    length = min(side_px, WINDOW_PX)
+    """The starts of the fewest windows along one side, and their smallest length."""
+    if side_px <= WINDOW_PX:
+        return [0], side_px
     overlap_px = _WINDOW_OVERLAP_PX
-    count = 1 if side_px == length else -(-(side_px - overlap_px) // (length - overlap_px))
-    step = (side_px - length) / max(count - 1, 1)
+    count = math.ceil((side_px - overlap_px) / (WINDOW_PX - overlap_px))
+    length = math.ceil((side_px + (count - 1) * overlap_px) / count / _STRIDE_PX) * _STRIDE_PX
+    step = (side_px - length) / (count - 1)
     return [round(index * step) for index in range(count)], length
 
 
@@ -104,8 +110,8 @@ def _batches(sizes_px: Sequence[tuple[int, int]]) -> Iterator[list[int]]:
             yield part
 
 
-def _detect_in_windows(detector: Detector, picture: Picture) -> Detections:
-    """Runs a detector over a large picture window by window, and merges the detections."""
+def detect_in_windows(detector: Detector, picture: Picture) -> Detections:
+    """Runs a detector over a picture window by window, and merges the detections."""
     windows = covering_windows(picture.size_px)
     around = zip(windows, _cores(windows), strict=True)
     views = picture.windows(windows)

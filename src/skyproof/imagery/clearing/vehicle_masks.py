@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torchvision import ops
 
-from skyproof.datasets.pictures import Boxes, Pixels
+from skyproof.datasets.pictures import Boxes, PictureInMemory, Pixels
 from skyproof.detectors.detector import Detector, TrainableDetector
-from skyproof.detectors.inference import covering_windows, detect_batch
+from skyproof.detectors.inference import detect_in_windows
 from skyproof.errors import ConfigurationError
 
 Array = NDArray[np.float64]
@@ -250,17 +250,10 @@ class VehicleFinder:
 
     def detections(self, image: Pixels) -> Boxes:
         """Finds vehicles in a tile of any size, a large one through windows that overlap."""
-        boxes, scores = torch.zeros(0, 4), torch.zeros(0)
-        for left, top, width, height in covering_windows((image.shape[2], image.shape[1])):
-            part = image[:, top : top + height, left : left + width]
-            with self._alone:
-                torch.set_num_threads(self._threads)
-                (found,) = detect_batch(self.detector, part[None])
-            keep = found.scores.cpu() >= self.detector.threshold
-            shift = torch.tensor([left, top, left, top], dtype=torch.float32)
-            boxes = torch.cat([boxes, found.boxes.cpu()[keep] + shift])
-            scores = torch.cat([scores, found.scores.cpu()[keep]])
-        return boxes[ops.nms(boxes, scores, 0.5)]
+        with self._alone:
+            torch.set_num_threads(self._threads)
+            found = detect_in_windows(self.detector, PictureInMemory(image))
+        return found.boxes[found.scores >= self.detector.threshold]
 
 
 def other_vehicles(seen: Boxes, known: Boxes) -> Boxes:
