@@ -176,6 +176,14 @@ def test_the_report_loads_no_torch():
             assert reaches(module, modules, "torch") == [], module
 
 
+def test_the_first_look_loads_no_diagrams_and_no_distributions():
+    # They take a second, and a user waits for the first words.
+    modules = sources()
+    for package in ("matplotlib", "scipy.stats", "cmaes"):
+        assert reaches("assessment.assess", modules, package) == [], package
+    assert reaches("report.report", modules, "matplotlib") != []
+
+
 def test_a_generator_is_read_without_the_renderer():
     # Fleets are drawn from one without it, as they are without one.
     modules = sources()

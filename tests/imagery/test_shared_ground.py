@@ -19,9 +19,10 @@ from skyproof.imagery.tiles import planes, shared_ground
 from skyproof.imagery.tiles.grid import lay_grids
 from skyproof.imagery.tiles.planes import inspect_imagery
 from skyproof.imagery.tiles.shared_ground import CoarseView, PhotographPair, find_pairs
+from skyproof.imagery.tiles.sources import SourceReader
 from skyproof.scenes.splits import SPLITS
 from tests.imagery.flown import GSD_M, fly, overlap, photograph, store
-from tests.imagery.made import all_tiles, tile
+from tests.imagery.made import all_tiles, noise, tile
 
 GIVEN = SourceSettings(GSD_M)
 
@@ -273,6 +274,24 @@ def test_images_of_other_places_or_with_little_to_see_stay_alone(tmp_path):
     sources = inspect_imagery(paths, GIVEN)
     assert all(source.georeference.plane is None for source in sources)
     assert places(sources, 9) == "5 images without georeference show at most 5 distinct places"
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tif"])
+def test_photographs_are_averaged_to_a_coarse_scale(tmp_path, suffix):
+    """A PNG is read at once, other formats by GDAL."""
+    values = noise(300, 200)
+    path = tmp_path / f"photo{suffix}"
+    Image.fromarray(values.transpose(1, 2, 0)).save(path)
+    (source,) = inspect_imagery([path], GIVEN)
+    with SourceReader() as reader:
+        grey, usable, pixel_m = planes._coarse_picture(source, reader, 2 * GSD_M, None)
+    rows, columns = grey.shape
+    assert (2 * rows, 2 * columns) == values.shape[1:]
+    expected = values.reshape(3, rows, 2, columns, 2).mean((0, 2, 4)) / 255
+    # Bytes are rounded.
+    assert np.abs(grey - expected).max() < 0.003
+    assert usable.all()
+    assert pixel_m == 2 * GSD_M
 
 
 def test_the_images_of_a_long_flight_are_compared_with_their_neighbours(tmp_path, monkeypatch):

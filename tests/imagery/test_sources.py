@@ -382,3 +382,14 @@ def test_missing_and_namesake_images_and_bad_settings(tmp_path):
     ):
         with pytest.raises(ConfigurationError, match="expects a"):
             tile([tmp_path / "x.tif"], tmp_path / "set", **wrong)
+
+
+@pytest.mark.parametrize("kept", [0.5, 0.99])
+def test_a_png_that_was_cut_off_is_refused_when_it_is_inspected(tmp_path, kept):
+    path = tmp_path / "photo.png"
+    Image.fromarray(noise(300, 300).transpose(1, 2, 0)).save(path)
+    (whole,) = inspect_sources([path], SourceSettings(0.125))
+    assert whole.notes == ()
+    path.write_bytes(path.read_bytes()[: int(kept * path.stat().st_size)])
+    with pytest.raises(ImageryError, match=r"photo\.png cannot be read as an image .* cut off"):
+        inspect_sources([path], SourceSettings(0.125))

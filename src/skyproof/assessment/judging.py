@@ -22,7 +22,6 @@ from skyproof.console import say
 from skyproof.cycles.settings import Rendering
 from skyproof.errors import ImageryError
 from skyproof.files import write_json
-from skyproof.report.report import write_report
 from skyproof.results.precheck import findings, read_precheck, worst
 from skyproof.results.statistics.acceptance import Requirement, fewest_tiles
 from skyproof.results.statistics.planning import tiles_to_show
@@ -108,7 +107,7 @@ def still_open(its: Subject, requirement: Requirement) -> Step:
         ]
         scored = any(layout.scores.glob("[!.]*/score.json"))
         if len(failed) == len(checked) and not its.request.go_on and not scored:
-            write_report(layout.folder, requirement)
+            _write_report(its, requirement)
             raise RunEnded(
                 "The run ends before the attacks, because a detector that failed its precheck "
                 "cannot be accepted. Mend the detector, or give the same command with --go-on to "
@@ -165,13 +164,20 @@ def scored_names(steps: Sequence[Step]) -> list[str]:
     return [camouflage.name for step in scores for camouflage in step.inputs]
 
 
+def _write_report(its: Subject, requirement: Requirement | None) -> Path:
+    # Matplotlib is loaded when a report is written, because the first look must answer at once.
+    from skyproof.report.report import write_report
+
+    return write_report(its.layout.folder, requirement)
+
+
 def report(its: Subject, scores: Sequence[Step], requirement: Requirement | None) -> Step:
     """Merges all scores and writes the report."""
     layout = its.layout
     checks = [layout.precheck(name) for name in its.names]
 
     def work() -> None:
-        say(f"Report: {write_report(layout.folder, requirement).resolve()}")
+        say(f"Report: {_write_report(its, requirement).resolve()}")
 
     return Step(
         "report",

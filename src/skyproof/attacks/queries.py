@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from cmaes import CMA
 from jaxtyping import Float
 from torch import nn
 
@@ -92,6 +91,9 @@ class _Evolution:
     """CMA-ES on coarse changes of a camouflage, from no change at all."""
 
     def __init__(self, start: Camouflage, seed: int) -> None:
+        # It loads scipy.stats, which takes as long as some steps, and few commands need it.
+        from cmaes import CMA
+
         self._change = CoarseChange(start)
         count = self._change.count
         self._strategy = CMA(

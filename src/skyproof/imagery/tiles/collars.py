@@ -12,6 +12,8 @@ from rasterio.io import DatasetReader
 from rasterio.windows import Window
 from scipy.ndimage import label
 
+from skyproof.imagery.rasters import is_faster_whole
+
 _CORNER_PX = 4
 _LEAST_SHARE = 0.002
 """Of an image: less is a shadow or a roof at its corner."""
@@ -92,8 +94,12 @@ def find_collars(
         extremes["white"] = float(np.iinfo(kind).max)
     tolerance = _LOSSY_VALUES if is_lossy(dataset) else 0
     found = []
-    # Read once and from top to bottom: a PNG is decoded up to the row that is asked for.
-    shown = [dataset.read(list(bands), window=at) for at in corners]
+    if is_faster_whole(dataset):
+        whole = dataset.read(list(bands))
+        shown = [whole[:, *at.toslices()] for at in corners]
+    else:
+        # Read once and from top to bottom: a PNG is decoded up to the row that is asked for.
+        shown = [dataset.read(list(bands), window=at) for at in corners]
     for colour, value in extremes.items():
         if any(not _differs(values, value, tolerance).any() for values in shown):
             collar = _between(dataset, bands, colour, value, tolerance)

@@ -14,6 +14,10 @@ Picture = NDArray[np.float32]
 
 SMALLEST_PX = 24
 LEAST_CONTRAST = 0.004
+LEAST_BLUR_PX = 1.1
+"""Blur of the smallest points, at which a coarse picture still has enough of them."""
+WINDOWS = {"lambda_ori": 1.2, "lambda_descr": 4.5}
+"""Reach of a point's heading and descriptor, in its blurs: most of the time goes into them."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +46,7 @@ def find_keypoints(grey: Picture, usable: NDArray[np.bool_], most: int) -> Keypo
     if min(grey.shape) < SMALLEST_PX:
         return none
     # Any, because its results are declared as None.
-    finder: Any = SIFT(upsampling=1, c_dog=LEAST_CONTRAST)
+    finder: Any = SIFT(upsampling=1, sigma_min=LEAST_BLUR_PX, c_dog=LEAST_CONTRAST, **WINDOWS)
     try:
         finder.detect_and_extract(grey)
     except RuntimeError:

@@ -14,11 +14,13 @@ from affine import Affine
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 from rasterio.enums import Resampling
+from rasterio.io import DatasetReader
 from rasterio.windows import Window
 from scipy.sparse import coo_array
 from scipy.sparse.linalg import spsolve
 
 from skyproof.imagery.labels.label import ImageLabels, Labels
+from skyproof.imagery.rasters import is_faster_whole
 from skyproof.imagery.settings import SourceSettings
 from skyproof.imagery.tiles import shared_ground
 from skyproof.imagery.tiles.georeference import COARSEST_GSD_M, Georeference
@@ -31,7 +33,7 @@ from skyproof.imagery.tiles.sources import (
     read_mask,
 )
 
-COARSE_PX = 256
+COARSE_PX = 160
 """Smaller side of most photographs when they are compared."""
 MOST_COARSE_PX = 1024
 LARGEST_MISFIT_M = 2.0
@@ -125,7 +127,7 @@ def _coarse_picture(
     shape = (across, down) if source.stored.b else (down, across)
     with reader.reading(source.path) as dataset:
         bands = sorted({*source.bands})
-        values = dataset.read(bands, out_shape=(len(bands), *shape), resampling=Resampling.average)
+        values = _averaged(dataset, bands, shape)
         whole = Window(0, 0, dataset.width, dataset.height)
         usable = (read_mask(dataset, source, whole, shape) > 0) & holds_data(values)
     low, high = source.value_range or (0.0, 255.0)
@@ -135,6 +137,18 @@ def _coarse_picture(
     if isinstance(labels, ImageLabels):
         usable = usable & ~_labelled(source, labels, usable.shape)
     return grey, usable, pixel_m
+
+
+def _averaged(
+    dataset: DatasetReader, bands: Sequence[int], shape: tuple[int, int]
+) -> NDArray[np.float32]:
+    """Reads bands at a coarser scale, `[bands, H, W]`."""
+    if not is_faster_whole(dataset):
+        size = len(bands), *shape
+        return dataset.read(bands, out_shape=size, resampling=Resampling.average)
+    pictures = map(Image.fromarray, dataset.read(bands).astype(np.float32))
+    smaller = (picture.resize(shape[::-1], Image.Resampling.BOX) for picture in pictures)
+    return np.stack([np.asarray(picture) for picture in smaller])
 
 
 def _upright(stored: NDArray[_Value], transform: Affine) -> NDArray[_Value]:

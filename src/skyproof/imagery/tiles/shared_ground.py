@@ -20,8 +20,8 @@ CLEARLY_NEARER = 0.8
 """Share of the distance to the second nearest point at which the nearest is a match."""
 MOST_MATCHES = 60
 LEAST_MATCHES = 6
-TOLERANCE_PX = 4.0
-LEAST_BASE_PX = 40.0
+TOLERANCE_PX = 2.5
+LEAST_BASE_PX = 25.0
 """Distance of two matches that suggest how photographs lie to each other."""
 LARGEST_SCALE = 2.0
 LARGEST_TURN_RAD, LARGEST_GROWTH = 0.5, 0.6

@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Int, Num
-from scipy import special, stats
+from scipy import special
 
 from skyproof.results.statistics.intervals import (
     TAIL,
@@ -334,6 +334,9 @@ def mcnemar_p(lost: int, gained: int) -> float:
     Its hypothesis is that as many vehicles are lost as gained. Vehicles count as independent here;
     trust the interval more where a tile holds many of them.
     """
+    # Its import takes as long as some steps, and the first look does without it.
+    from scipy import stats
+
     discordant = lost + gained
     if not discordant:
         return 1.0
