@@ -10,6 +10,7 @@ from skyproof.cli.ground import Ground
 from skyproof.cli.vehicles import Vehicles
 from skyproof.errors import ConfigurationError
 from skyproof.ground.procedural import write_procedural_backgrounds
+from skyproof.imagery.notes import ImageNote
 from skyproof.imagery.settings import (
     LabelSettings,
     SourceSettings,
@@ -111,15 +112,17 @@ def test_fleets_without_other_paints_are_drawn_with_a_note(tmp_path, skyproof: S
 def test_equal_notes_on_images_are_told_once():
     counts = {split: {"tiles": 20, "vehicles": 1, "ignored": 2} for split in SPLITS}
     counts["train"]["tiles"] = 1
-    notes = [f"{name}.jpg: too plain: grey" for name in "abcd"]
-    notes[2:2] = ["e.jpg: of 4 bands", "sharp", "left out 1 label of x.json"]
+    notes = [ImageNote(f"{name}.jpg", "too plain: grey") for name in ["a: 1", "b", "c", "d"]]
+    notes[2:2] = [ImageNote("e.jpg", "of 4 bands"), "C: sharp", "D: sharp"]
     record = TilingRecord({}, [], {}, counts, empty=1, notes=notes)
     first, second, third, fourth, *rest = tiling_words(record, labelled=True)
-    assert first == "  note: 4 images (a.jpg, b.jpg and 2 more): too plain: grey"
+    assert first == "  note: 4 images (a: 1.jpg, b.jpg and 2 more): too plain: grey"
     assert second == "  note: e.jpg: of 4 bands"
-    assert (third, fourth) == ("  note: sharp", "  note: left out 1 label of x.json")
+    assert (third, fourth) == ("  note: C: sharp", "  note: D: sharp")
     assert " ".join(rest[0].split()) == "train 1 tile, 1 vehicle, 2 ignore regions"
     assert rest[-1].startswith("  1 cell left out")
+    again = [*tiling_words(record, labelled=True, told={*notes} - {"D: sharp"})]
+    assert again == ["  note: D: sharp", *rest]
     many = TilingRecord({}, [], {}, counts, empty=0, notes=[f"note {i}" for i in range(40)])
     assert "  note: 28 more in tiling.json" in [*tiling_words(many, labelled=True)]
 

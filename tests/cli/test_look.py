@@ -11,6 +11,7 @@ import torch
 from PIL import Image
 from rasterio.transform import from_origin
 
+from skyproof.assessment.run import Run
 from skyproof.detectors.card import reference_folder
 from skyproof.errors import SkyproofError
 from skyproof.imagery.tiles import sources, tiling
@@ -248,6 +249,27 @@ def test_headers_of_images_are_read_once(call, monkeypatch, skyproof: Skyproof):
     monkeypatch.setattr(tiling, "assign_splits", stop)
     skyproof(*call, "--gsd", 0.125).refused("tiled")
     assert sorted(read) == ["0.png", "1.png", "2.png", "3.png"]
+
+
+def test_notes_of_the_first_look_are_told_once_and_kept_in_a_file(
+    call, photographs, tmp_path, monkeypatch, skyproof: Skyproof
+):
+    def tiles_alone(run):
+        run.steps[0].work()
+        raise SkyproofError("tiled")
+
+    (photographs / "3.txt").unlink()
+    monkeypatch.setattr(Run, "do", tiles_alone)
+    answer = skyproof(*call, "--gsd", 0.125)
+    assert "tiled" in answer.err
+    told = answer.out.splitlines()
+    notes = json.loads((tmp_path / "run/tiles/tiling.json").read_text())["notes"]
+    twice = [each for each in set(told) if "note:" in each and told.count(each) > 1]
+    assert twice == []
+    assert "3.png: no labels, so nothing is scored on its tiles" in notes
+    for words in ("at most 4 distinct places", "3.png: no labels", "blur measured"):
+        assert [words in line for line in told].count(True) == 1, told
+        assert any(words in note for note in notes)
 
 
 def _detector(place, change):

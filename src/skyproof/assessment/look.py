@@ -145,8 +145,9 @@ def _look_at_imagery(its: Subject, mistakes: list[SkyproofError]) -> tuple[int, 
     test_tiles = max(1, round(len(cells) * tiling.shares[3]))
     sentences: list[str] = []
     if cells:
-        told = exif_words([source.exif for source in sources])
-        sentences += [_imagery(sources, cells), *told, *merged_notes([*notes_on(sources), *notes])]
+        its.told.extend([*notes_on(sources), *notes])
+        exif = exif_words([source.exif for source in sources])
+        sentences += [_imagery(sources, cells), *exif, *merged_notes(its.told)]
     with _noted(mistakes):
         if its.labels is not None:
             settings = LabelSettings(request.labels, request.label_classes)
@@ -154,6 +155,7 @@ def _look_at_imagery(its: Subject, mistakes: list[SkyproofError]) -> tuple[int, 
             # A wrong resolution may be why no tile fits.
             sentences.append(_labels(its.labels, settings, sources, grids, its))
             if placed is not None:
+                its.told.extend(placed.notes)
                 sentences += [*_on_tiles(placed, cells), *merged_notes(placed.notes)]
     with _noted(mistakes):
         if request.requirement is not None and cells:

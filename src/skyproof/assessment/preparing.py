@@ -70,7 +70,7 @@ def tiles(its: Subject) -> Step:
     settings = (request.imagery, its.seed, tiling, source, labels, read)
 
     def work() -> None:
-        cut.run(its.inspected)
+        cut.run(its.inspected, its.told)
 
     return Step("ground", "tiles", (out,), work, settings, effort_s=_LONG_S)
 

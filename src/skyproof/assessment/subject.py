@@ -6,7 +6,7 @@ import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
@@ -52,7 +52,8 @@ _SIDES = (".shp", ".dbf", ".prj")
 class Subject:
     """The detectors, ground and vehicles of an assessment, which its steps share.
 
-    Sources are the SHA-256 of the user's files, by path; a black box is a Python object.
+    Sources are the SHA-256 of the user's files, by path; a black box is a Python object. Notes on
+    imagery that the first look has `told` are not told again.
     """
 
     request: Request
@@ -62,6 +63,7 @@ class Subject:
     device: torch.device
     sources: Mapping[str, str]
     black_box: BlackBoxDetector | None = None
+    told: list[str] = field(default_factory=list)
 
     @property
     def source_settings(self) -> SourceSettings:

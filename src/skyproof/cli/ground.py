@@ -18,7 +18,7 @@ from skyproof.scenes.sensor import BlurChoice, chosen_blur_px
 from skyproof.scenes.splits import SPLITS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
 
     from skyproof.imagery.labels.label import Labels
     from skyproof.imagery.tiles.sources import Source
@@ -62,15 +62,19 @@ class Ground:
                 "images, or folders of them."
             )
 
-    def run(self, inspected: Sequence[Source] | None = None) -> None:
-        """Writes the tiles and says how many; the images may have been inspected before."""
+    def run(self, inspected: Sequence[Source] | None = None, told: Collection[str] = ()) -> None:
+        """Writes the tiles and says how many.
+
+        The images may have been `inspected` before, and notes on them `told`.
+        """
         from skyproof.imagery.words import tiling_words
         from skyproof.scenes.background_index import change_sensors
 
         with finished_folder(self.out) as folder:
             if self.sources:
                 labelled = self.labels.path is not None
-                for line in tiling_words(self._cut(folder, inspected), labelled=labelled):
+                record = self._cut(folder, inspected)
+                for line in tiling_words(record, labelled=labelled, told=told):
                     say(line)
             else:
                 self._draw(folder)

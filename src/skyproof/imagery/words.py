@@ -1,11 +1,12 @@
 """The printed summaries of imagery that was tiled or cleared."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from skyproof.imagery.clearing.sunlight import KNOWN_FROM
+from skyproof.imagery.notes import ImageNote
 from skyproof.imagery.tiles.tiling import TilingRecord
 from skyproof.scenes.splits import SPLITS
 from skyproof.words import counted, named
@@ -92,9 +93,16 @@ def warnings(totals: dict[str, Any], vehicles_from: list[str]) -> list[str]:
     return sentences
 
 
-def tiling_words(record: TilingRecord, *, labelled: bool) -> Iterator[str]:
-    """Yields notes, counts of tiles, and a warning if they are too few for a test."""
-    yield from (f"  note: {note}" for note in merged_notes(record.notes))
+def tiling_words(
+    record: TilingRecord, *, labelled: bool, told: Collection[str] = ()
+) -> Iterator[str]:
+    """Yields notes, counts of tiles, and a warning if they are too few for a test.
+
+    Notes that were `told` before are left out.
+    """
+    known = {*told}
+    new = [note for note in record.notes if note not in known]
+    yield from (f"  note: {note}" for note in merged_notes(new))
     for split in SPLITS:
         count = record.counts[split]
         what = {"tiles": "tile"}
@@ -116,12 +124,14 @@ def tiling_words(record: TilingRecord, *, labelled: bool) -> Iterator[str]:
 
 def merged_notes(notes: Sequence[str]) -> list[str]:
     """Tells a few kinds of notes, equal ones on several images once; tiling.json holds all."""
-    names: dict[str, list[str]] = {}
+    images: dict[str, list[str]] = {}
     for note in notes:
-        name, colon, told = note.partition(": ")
-        names.setdefault(told if colon else note, []).extend([name] if colon else [])
+        if isinstance(note, ImageNote):
+            images.setdefault(note.told, []).append(note.image)
+        else:
+            images.setdefault(note, [])
     merged = [
-        f"{named(of_note, 'image')}: {told}" if of_note else told for told, of_note in names.items()
+        f"{named(names, 'image')}: {told}" if names else told for told, names in images.items()
     ]
     rest = len(merged) - _NOTES_SHOWN
     return merged if rest <= 0 else [*merged[:_NOTES_SHOWN], f"{rest} more in tiling.json"]

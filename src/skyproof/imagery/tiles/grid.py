@@ -11,6 +11,7 @@ from rasterio.crs import CRS
 from scipy.sparse.csgraph import connected_components
 
 from skyproof.errors import ImageryError
+from skyproof.imagery.notes import ImageNote
 from skyproof.imagery.settings import TilingSettings
 from skyproof.imagery.tiles.georeference import (
     DEGREES,
@@ -209,8 +210,9 @@ def lay_grids(sources: Sequence[Source], settings: TilingSettings, notes: list[s
             f"holds a whole tile, which takes {least_px * gsd_m:.1f} m on each side ({least_px} px "
             f"of {gsd_m:g} m); give larger images{remedy}."
         )
+    small = f"too small for a tile of {least_px * gsd_m:.1f} m, and left out"
     notes += [
-        f"{sources[i].path.name}: too small for a tile of {least_px * gsd_m:.1f} m, and left out"
+        ImageNote(sources[i].path.name, small)
         for grid in grids
         if not grid.whole_cells()
         for i in grid.extents

@@ -24,6 +24,7 @@ from skyproof.imagery.labels.label import (
     sort_labels,
     told_classes,
 )
+from skyproof.imagery.notes import ImageNote
 from skyproof.imagery.settings import LabelSettings
 from skyproof.imagery.tiles.georeference import system_of, to_reference_system
 from skyproof.imagery.tiles.grid import Cell, Extent, around, extent_of
@@ -174,7 +175,8 @@ class PlacedLabels:
     def _add_unlabelled(self, plane: str, number: int) -> None:
         """Ignores a source that nobody labelled."""
         source = self._sources[number]
-        self.notes.append(f"{source.path.name}: no labels, so nothing is scored on its tiles")
+        told = "no labels, so nothing is scored on its tiles"
+        self.notes.append(ImageNote(source.path.name, told))
         whole = (0.0, 0.0, float(source.width_px), float(source.height_px))
         label = self._to_plane(plane, Label.upright(EVERYTHING, whole, ignore=True), number)
         self._add(plane, _Placed(label, number))

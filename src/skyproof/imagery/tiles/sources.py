@@ -24,6 +24,7 @@ from rasterio.windows import Window
 from skyproof.errors import ImageryError
 from skyproof.imagery.exif import Exif, read_exif
 from skyproof.imagery.labels.image_files import IMAGE_FOLDERS
+from skyproof.imagery.notes import ImageNote
 from skyproof.imagery.rasters import (
     RASTER_SUFFIXES,
     open_raster,
@@ -275,8 +276,8 @@ def inspect_sources(paths: Sequence[Path], settings: SourceSettings) -> list[Sou
 
 
 def notes_on(sources: Sequence[Source]) -> list[str]:
-    """The notes on images, each after the name of its image."""
-    return [f"{source.path.name}: {note}" for source in sources for note in source.notes]
+    """The notes on images, each with the name of its image."""
+    return [ImageNote(source.path.name, note) for source in sources for note in source.notes]
 
 
 def _choose_bands(dataset: DatasetReader, notes: list[str]) -> tuple[int, int, int]:

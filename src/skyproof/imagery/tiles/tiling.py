@@ -78,7 +78,7 @@ class TilingRecord:
 
     `blocks_m` are the widths of the blocks of each grid, `counts` the tiles, vehicles and ignore
     regions of each split, and `empty` cells were left out because more than 2 % of them is empty.
-    Notes on one image begin with its name and a colon.
+    Notes on one image are of the kind `ImageNote`.
     """
 
     settings: dict[str, Any]

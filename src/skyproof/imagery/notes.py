@@ -1,0 +1,24 @@
+"""Notes on imagery, which tell assumptions, repairs and omissions."""
+
+from __future__ import annotations
+
+
+class ImageNote(str):
+    """A note on one image; as text it begins with the image's name and a colon.
+
+    Attributes:
+        image: the image's name.
+        told: the note without it.
+    """
+
+    image: str
+    told: str
+
+    def __new__(cls, image: str, told: str) -> ImageNote:
+        note = super().__new__(cls, f"{image}: {told}")
+        note.image, note.told = image, told
+        return note
+
+    def __reduce__(self) -> tuple[type[ImageNote], tuple[str, str]]:
+        # Copies are made by this.
+        return ImageNote, (self.image, self.told)
