@@ -20,6 +20,7 @@ from torch import Tensor
 from skyproof.datasets.pictures import Pixels
 from skyproof.errors import ImageryError
 from skyproof.geometry.colour import srgb_to_linear
+from skyproof.imagery.notes import ImageNote
 from skyproof.imagery.tiles.georeference import DEGREES, to_reference_system
 from skyproof.imagery.tiles.grid import Cell
 from skyproof.scenes.background_index import BackgroundTile
@@ -212,10 +213,11 @@ def lit_tiles(
         try:
             measured[source] = exposure_of(backgrounds, of_one, vehicles_px)
         except ImageryError:
-            notes.append(
-                f"{source}: too plain to measure its exposure; vehicles will be drawn as on a "
-                "clear day, well exposed"
+            told = (
+                "too plain to measure its exposure; vehicles will be drawn as on a clear day, well "
+                "exposed"
             )
+            notes.append(ImageNote(source, told))
     if measured:
         whites = [sum(light.white) / 3 for light in measured.values()]
         notes.append(
