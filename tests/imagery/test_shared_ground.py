@@ -328,3 +328,24 @@ def test_the_40_frames_of_munich_show_two_places():
     assert places(sources) == "40 images without georeference show at most 2 distinct places"
     groups = {(one.path.stem.startswith("MOS"), plane_of(one)) for one in sources}
     assert len(groups) == 2
+
+
+@pytest.mark.data
+@pytest.mark.skipif("SKYPROOF_DATA" not in os.environ, reason="SKYPROOF_DATA names no imagery")
+def test_the_drone_images_of_minsk_show_two_places():
+    folder = Path(os.environ["SKYPROOF_DATA"]) / "minsk_drone"
+    sources = inspect_imagery([folder], SourceSettings(0.055))
+    assert places(sources) == "32 images without georeference show at most 2 distinct places"
+
+
+@pytest.mark.data
+@pytest.mark.skipif("SKYPROOF_DATA" not in os.environ, reason="SKYPROOF_DATA names no imagery")
+def test_crops_of_drone_images_in_another_light_are_recognised(tmp_path):
+    """Only their fine details correlate."""
+    paths = []
+    for name in ("DJI_0013-0036", "DJI_0013-0023"):
+        with Image.open(Path(os.environ["SKYPROOF_DATA"]) / f"minsk_drone/{name}.jpg") as whole:
+            paths.append(tmp_path / f"{name}.png")
+            whole.crop((680, 520, 1240, 1080)).save(paths[-1])
+    sources = inspect_imagery(paths, SourceSettings(0.055))
+    assert places(sources) == "2 images without georeference show at most 1 distinct place"

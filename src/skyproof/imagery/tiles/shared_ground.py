@@ -32,7 +32,7 @@ MOST_ELSEWHERE = 0.85
 
 Bays of a car park, tiles of a roof and furrows of a field reach nearly all of it.
 """
-ELSEWHERE_PX = 6
+ELSEWHERE_PX = 4
 LEAST_OVERLAP = 0.1
 ENOUGH_PAIRS = 4
 """Pairs of a photograph after which those that tell nothing new are left out."""
@@ -69,7 +69,7 @@ class CoarseView:
     def of(
         cls, grey: NDArray[np.float32], usable: NDArray[np.bool_], pixel_m: float
     ) -> "CoarseView":
-        details = ndimage.gaussian_filter(grey, 1.0) - ndimage.gaussian_filter(grey, 6.0)
+        details = ndimage.gaussian_filter(grey, 0.6) - ndimage.gaussian_filter(grey, 3.8)
         # Strong edges of few things would drown everything else.
         spread = details[usable].std() if usable.any() else 1.0
         details = np.clip(details / max(spread, 1e-6), -2.5, 2.5) * usable
