@@ -184,7 +184,7 @@ def test_cycles_is_added_to_a_finished_run_and_goes_on_where_it_was_stopped(
     before = bytes_of(folder)
     page = (folder / "report.html").read_text()
     with monkeypatch.context() as patch:
-        patch.setattr("skyproof.assessment.judging.write_report", stop)
+        patch.setattr("skyproof.report.report.write_report", stop)
         assert skyproof(*WITH_CYCLES, "--out", folder).code == 130
     # The older page does not count as finished, and no scene is drawn again.
     answer = skyproof(*WITH_CYCLES, "--out", folder)
