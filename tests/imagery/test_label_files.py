@@ -499,8 +499,12 @@ def test_a_few_boxes_without_size_are_left_out_with_a_note(tmp_path, form):
 def test_objects_that_enclose_no_ground_are_left_out_with_a_note(tmp_path):
     line = [[1, 1], [1, 2], [1, 3], [1, 1]]
     whole = [shape("Polygon", [RING]), shape("Point", [1, 2])]
-    path = written(tmp_path / "x.geojson", features(*whole, shape("Polygon", [line])))
-    labels = read_labels(path)
+    path = tmp_path / "x.geojson"
+    for nothing in (None, shape("Polygon", [])):
+        labels = read_labels(written(path, features(*whole, nothing)))
+        assert [len(label.corners) for label in labels.labels] == [4, 1]
+        assert "(first: object 3)" in labels.notes[0]
+    labels = read_labels(written(path, features(*whole, shape("Polygon", [line]))))
     assert [len(label.corners) for label in labels.labels] == [4, 1]
     (note,) = labels.notes
     assert note == f"left out 1 box of {path} without width or height (first: object 3)"
@@ -522,12 +526,12 @@ def test_a_feature_may_ask_to_be_ignored(tmp_path):
             features(shape("Point", [1, 2]), shape("LineString", [[1, 2], [3, 4]])),
             "object 2 is neither a point",
         ),
-        (features(None), "object 1 is neither a point"),
-        (features(shape("Point", [1])), "object 1 is neither"),
+        (features(None), "1 of 1 boxes .* object 1"),
+        (features(shape("Point", [1])), "1 of 1 boxes .* object 1"),
         (features(shape("Point", [1, float("nan")])), "is not JSON"),
         (features(shape("Point", [1, 1e300])), "object 1 is neither"),
-        (features(shape("Polygon", [])), "object 1 is neither"),
-        (features(shape("Polygon", [[[1, 1], [1, 1]]])), "object 1 is neither"),
+        (features(shape("Polygon", [])), "1 of 1 boxes .* object 1"),
+        (features(shape("Polygon", [[[1, 1], [1, 1]]])), "1 of 1 boxes .* object 1"),
         (
             features(shape("Point", [1576000, 5180000])),
             r"object 1 is at 1\.576e\+06, 5\.18e\+06, which is no longitude",

@@ -87,6 +87,10 @@ def read_ground_labels(
     rows = zip(frame.geometry, records, names, strict=True)
     for number, (geometry, record, name) in enumerate(rows, 1):
         where = f"{path} object {number}"
+        if geometry is None or geometry.is_empty:
+            parts.append(1)
+            flat.append(where)
+            continue
         shapes = _shapes(geometry)
         if not shapes:
             raise ImageryError(
@@ -175,8 +179,7 @@ def _label_layers(place: Path | str, layers: Sequence[str], wanted: Sequence[str
 
 def _shapes(geometry: Any) -> list[tuple[Point, ...]]:
     """Returns the corners of a geometry's parts; nothing where one is no point or outline."""
-    parts = [] if geometry is None else list(getattr(geometry, "geoms", [geometry]))
-    shapes = [_corners(part) for part in parts]
+    shapes = [_corners(part) for part in getattr(geometry, "geoms", [geometry])]
     return shapes if all(shapes) else []
 
 
