@@ -124,7 +124,7 @@ def test_equal_notes_on_images_are_told_once():
     again = [*tiling_words(record, labelled=True, told={*notes} - {"D: sharp"})]
     assert again == ["  note: D: sharp", *rest]
     many = TilingRecord({}, [], {}, counts, empty=0, notes=[f"note {i}" for i in range(40)])
-    assert "  note: 28 more in tiling.json" in [*tiling_words(many, labelled=True)]
+    assert "  note: 28 more in tiling.json, once tiled" in [*tiling_words(many, labelled=True)]
 
 
 @pytest.mark.parametrize(("tiles", "told"), [(9, "±33 points"), (12, None), (0, None)])

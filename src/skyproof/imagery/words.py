@@ -134,4 +134,5 @@ def merged_notes(notes: Sequence[str]) -> list[str]:
         f"{named(names, 'image')}: {told}" if names else told for told, names in images.items()
     ]
     rest = len(merged) - _NOTES_SHOWN
-    return merged if rest <= 0 else [*merged[:_NOTES_SHOWN], f"{rest} more in tiling.json"]
+    more = [f"{rest} more in tiling.json, once tiled"] if rest > 0 else []
+    return merged[:_NOTES_SHOWN] + more
