@@ -1,7 +1,7 @@
 """Scenes to a score folder, with a detector whose answers are known."""
 
 import json
-from contextlib import contextmanager
+import time
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -153,11 +153,10 @@ class DayOrNight(Detector):
         scores = [image.mean().reshape(1) for image in images]
         return [Detections(BOX[None], 1 - one if self.dark else one) for one in scores]
 
-    @contextmanager
     def of_other_classes(self):
-        self.dark = True
-        yield True
-        self.dark = False
+        twin = DayOrNight()
+        twin.dark = True
+        return twin
 
 
 def day_or_night(images):
@@ -198,6 +197,24 @@ def test_vehicles_called_another_class_are_counted_apart_from_those_that_vanish(
     assert baseline.leniently.endswith("recall 80\u202f%, called another class 20\u202f%")
     page = write_report(tmp_path / "scores").read_text()
     assert "On 25\u202f% of the vehicles found before only another class is detected." in page
+
+
+def test_the_next_change_is_drawn_while_the_caller_looks_at_a_view(make_scene, fleet):
+    renderer = Flat([200], [50], [50])
+    stage, scenes = SceneRenderer(fleet, renderer), some_scenes(make_scene, fleet, 1)
+    changes = [SceneChange("T-U", Worn(1)), SceneChange("R-U-0", Worn(2))]
+    seen = views.views(
+        [judging(Brightest("one"), 0.5)], scenes, changes, stage, progress=lambda _: None
+    )
+    names = [next(seen).name]
+    for later in (2, 3):
+        deadline = time.monotonic() + 20
+        while renderer.drawn < later and time.monotonic() < deadline:
+            time.sleep(0.01)
+        assert renderer.drawn == later
+        names.append(next(seen).name)
+    assert names == ["original", "T-U", "R-U-0"]
+    assert next(seen, None) is None
 
 
 def test_outcomes_are_the_same_with_and_without_a_folder(tmp_path, make_scene, fleet):

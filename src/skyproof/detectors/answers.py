@@ -1,7 +1,7 @@
 """Any callable as a detector, whose answers are checked: it may fail, or answer nonsense."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+import copy
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,8 @@ class BlackBoxDetector(Detector):
     also has `labels` `[K]`, the classes of its boxes: names, or numbers that are compared as text.
     """
 
+    _vehicle_classes: frozenset[str]
+
     def __init__(
         self,
         detector: object,
@@ -45,7 +47,10 @@ class BlackBoxDetector(Detector):
         if card is not None:
             self.set_card(card)
         # The answers of another one are checked here, so once.
-        wrapped = detector._detect if isinstance(detector, BlackBoxDetector) else detector
+        wrapped: Any = detector
+        if isinstance(detector, BlackBoxDetector):
+            wrapped = detector._detect
+            vehicle_classes = vehicle_classes or [*detector._vehicle_classes]
         self._detect: Any = getattr(wrapped, "detect", wrapped)
         self._wrapped = detector
         self._vehicle_classes = frozenset(vehicle_classes)
@@ -91,18 +96,18 @@ class BlackBoxDetector(Detector):
                 "choose from these."
             )
 
-    @contextmanager
-    def of_other_classes(self) -> Iterator[bool]:
+    def of_other_classes(self) -> "BlackBoxDetector | None":
         """See `Detector.of_other_classes`."""
-        if isinstance(self._wrapped, Detector):
-            with self._wrapped.of_other_classes() as known:
-                yield known
-            return
-        self._finds_others = bool(self._vehicle_classes)
-        try:
-            yield self._finds_others
-        finally:
-            self._finds_others = False
+        others = copy.copy(self)
+        others._finds_others = bool(self._vehicle_classes)
+        if others._finds_others:
+            return others
+        wrapped = self._wrapped.of_other_classes() if isinstance(self._wrapped, Detector) else None
+        if wrapped is None:
+            return None
+        others._wrapped = wrapped
+        others._detect = getattr(wrapped, "_detect", wrapped.detect)
+        return others
 
     def _are_meant(self, answer: Any, count: int) -> list[bool]:
         """Which boxes of an answer are of the classes that are looked for; all without classes."""

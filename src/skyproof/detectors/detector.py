@@ -1,7 +1,6 @@
 """The interface of a detector, and the checks, and the padding that all of them share."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -63,10 +62,9 @@ class Detector:
         """Finds vehicles in sRGB images in [0, 1]: all with score >= 0.01, after suppression."""
         raise NotImplementedError
 
-    @contextmanager
-    def of_other_classes(self) -> Iterator[bool]:
-        """Within it, `detect` finds the classes that are no vehicles; False if none are known."""
-        yield False
+    def of_other_classes(self) -> "Detector | None":
+        """Gives the same detector of the classes that are no vehicles; None if none are known."""
+        return None
 
     @property
     def threshold(self) -> float:

@@ -1,5 +1,6 @@
 """Imported detectors at their own resolution, and torchvision's with classes of their own."""
 
+import copy
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -64,17 +65,16 @@ class ImportedDetector(TrainableDetector):
         own = set(blueprint.vehicle_classes)
         self._others = [each for each in range(first, len(blueprint.classes)) if each not in own]
 
-    @contextmanager
-    def of_other_classes(self) -> Iterator[bool]:
-        """See `Detector.of_other_classes`."""
-        network: Any = self.network
-        vehicles = network.vehicle_classes
-        if self._others:
-            network.vehicle_classes = type(vehicles)(self._others)
-        try:
-            yield bool(self._others)
-        finally:
-            network.vehicle_classes = vehicles
+    def of_other_classes(self) -> "ImportedDetector | None":
+        """See `Detector.of_other_classes`; the weights are shared."""
+        if not self._others:
+            return None
+        network: Any = copy.copy(self.network)
+        network.vehicle_classes = type(network.vehicle_classes)(self._others)
+        others = copy.copy(self)
+        # Copies of modules share the table of their parts.
+        others._modules = {"network": network}
+        return others
 
     def loss(self, images: Images, targets: Sequence[Boxes]) -> Float[Tensor, " B"]:
         """The network's own loss per image against an empty truth, normalised (section 3.2)."""

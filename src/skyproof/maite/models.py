@@ -1,9 +1,9 @@
 """Detectors both ways: ours as MAITE models, and MAITE models as our detectors."""
 
+import copy
 import hashlib
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -88,15 +88,11 @@ class ModelDetector(BlackBoxDetector):
         own = {*self._labels, *_backgrounds(metadata)}
         self._others = [int(label) for label in metadata["index2label"] if int(label) not in own]
 
-    @contextmanager
-    def of_other_classes(self) -> Iterator[bool]:
+    def of_other_classes(self) -> "ModelDetector | None":
         """See `Detector.of_other_classes`."""
-        vehicles = self._labels
-        self._labels = self._others or vehicles
-        try:
-            yield bool(self._others)
-        finally:
-            self._labels = vehicles
+        others = copy.copy(self)
+        others._labels, others._detect = self._others, others._query
+        return others if self._others else None
 
     def _query(self, images: Float[Tensor, "B 3 H W"]) -> list[Detections]:
         shown = images.detach().cpu()

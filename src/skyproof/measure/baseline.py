@@ -53,7 +53,7 @@ def measure_baselines(
     Intervals are over places, or over images if all show one place or none is known. Without a
     `view` the detectors run. All sets have one `seed`, so none changes another's intervals.
     """
-    view = view or look(detectors, images.name, images.images)
+    view = view or look(detectors, images.name, images.images, other_classes=True)
     return [_measure(each, images, view, seed) for each in detectors]
 
 

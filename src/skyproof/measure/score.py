@@ -5,7 +5,7 @@ import itertools
 import math
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -86,7 +86,11 @@ def score(
         _refuse_other_rendering(unchanged, scenes, stage)
     with finished_folder(Path(folder)) as partial:
         if stage is not None:
-            shown = views(detectors, scenes, changes, stage, unchanged=unchanged, progress=count)
+            wanted = [
+                replace(change, other_classes=is_pictured(CamouflageName.read(change.name)))
+                for change in changes
+            ]
+            shown = views(detectors, scenes, wanted, stage, unchanged=unchanged, progress=count)
             writer = _Writer(partial, detectors, scenes, stage.renderer.name, next(shown))
             rows = writer.baselines(seed)
             for after in shown:
@@ -186,9 +190,7 @@ class _Writer:
 
     def _called_another_class(self, detector: Detector, view: SceneView) -> float:
         """The share of the vehicles found before on which only another class is detected."""
-        if view is self._before or not is_pictured(CamouflageName.read(view.name)):
-            return math.nan
-        called = view.called_another_class(detector)
+        called = None if view is self._before else view.called_another_class(detector)
         if called is None:
             return math.nan
         before, after = (one.matched(detector.name, LENIENT_MATCH) for one in (self._before, view))

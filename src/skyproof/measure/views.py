@@ -1,6 +1,8 @@
 """Scenes as they are and under changes, rendered and shown to detectors batch by batch."""
 
+import itertools
 import math
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -39,6 +41,7 @@ class SceneChange:
     blur_sigma_px: float | None = None  # of the vehicles
     sun_elevation_deg: float | None = None
     kind: Kind | None = None  # in the precheck; None for a camouflage under test
+    other_classes: bool = False  # whether objects of other classes are looked for, too
 
     def lit(self, scene: Scene) -> Scene:
         """The scene under the changed sun."""
@@ -55,18 +58,18 @@ class SceneView:
     name: str  # of the change; "original" without one
     images: Dataset  # one per scene, with its vehicles; rendered ones are rendered on demand
     found: Mapping[str, Sequence[Detections]]  # by detector and image
+    # The same of other classes, where they are known and asked for.
+    others: Mapping[str, Sequence[Detections]] = field(default_factory=dict)
     _matched: dict[tuple[str, Match], MatchTable] = field(default_factory=dict, repr=False)
 
     def called_another_class(self, detector: Detector) -> Bool[np.ndarray, " T"] | None:
         """Whether a detector finds no vehicle but another class, of the vehicles in sight.
 
-        By the lenient rule at the frozen threshold, with another run of the detector. None if its
-        other classes are not known.
+        By the lenient rule at the frozen threshold. None if its other classes are not known.
         """
-        with detector.of_other_classes() as known:
-            if not known:
-                return None
-            (others,) = detect_by_each([detector], self.images)
+        others = self.others.get(detector.name)
+        if others is None:
+            return None
         called = match_images(others, self.images, criterion=LENIENT_MATCH)
         missed = ~self.matched(detector.name, LENIENT_MATCH).found_at(detector.threshold)
         return np.asarray(missed & called.found_at(detector.threshold))
@@ -121,27 +124,41 @@ def views(
     """Yields the view of the scenes as they are, then one under each change.
 
     Images have 8 bits a channel, as in files. On a CPU several batches are rendered, and shown to
-    networks, at a time; the caller's thread alone asks black-box detectors. `unchanged` are the
+    networks, at a time, also while the caller looks at a view; the caller's thread alone asks
+    black-box detectors. `unchanged` are the
     scenes as they are, if they are rendered already. `progress` gets the number of images of each
     finished batch.
     """
     _check(detectors, scenes)
     if unchanged is None:
-        before = _render_and_detect(detectors, scenes, SceneChange(ORIGINAL), stage, progress)
+        changes = itertools.chain([SceneChange(ORIGINAL, other_classes=True)], changes)
+    rendered = _render_and_detect(detectors, scenes, changes, stage, progress)
+    if unchanged is None:
+        before = next(rendered)
     else:
-        before = look(detectors, ORIGINAL, unchanged)
+        before = look(detectors, ORIGINAL, unchanged, other_classes=True)
         progress(len(scenes))
     for each in detectors:
         _refuse_blind(each, before)
     yield before
-    for change in changes:
-        yield _render_and_detect(detectors, scenes, change, stage, progress)
+    yield from rendered
 
 
-def look(detectors: Sequence[Detector], name: str, images: Dataset) -> SceneView:
-    """Runs every detector on existing images."""
-    found = detect_by_each(detectors, images)
-    return SceneView(name, images, dict(zip([each.name for each in detectors], found, strict=True)))
+def look(
+    detectors: Sequence[Detector], name: str, images: Dataset, *, other_classes: bool
+) -> SceneView:
+    """Runs every detector on existing images, on request also for its other classes."""
+    asked = {each.name: each for each in detectors}
+    known = ((each.name, each.of_other_classes()) for each in detectors if other_classes)
+    others = {name: each for name, each in known if each is not None}
+    found = detect_by_each([*asked.values(), *others.values()], images)
+    of_vehicles, of_others = found[: len(asked)], found[len(asked) :]
+    return SceneView(
+        name,
+        images,
+        dict(zip(asked, of_vehicles, strict=True)),
+        dict(zip(others, of_others, strict=True)),
+    )
 
 
 def counter(progress: Callable[[int, int], None] | None, total: int) -> Callable[[int], None]:
@@ -157,61 +174,91 @@ def counter(progress: Callable[[int, int], None] | None, total: int) -> Callable
     return count
 
 
+_Draw = Callable[[Sequence[Scene]], Frames]
+
+
+@dataclass(frozen=True, eq=False)
+class _Batch:
+    """Scenes drawn under a change; black-box detectors have not seen them yet."""
+
+    change: SceneChange
+    scenes: Sequence[Scene]
+    draw: _Draw
+    frames: Frames
+    shown: Dataset
+    seen: SceneView | None
+
+
 def _render_and_detect(
     detectors: Sequence[Detector],
     scenes: Sequence[Scene],
-    change: SceneChange,
+    changes: Iterable[SceneChange],
     stage: SceneRenderer,
     progress: Callable[[int], None],
-) -> SceneView:
-    draw = stage.under(change)
-
-    def draw_and_look(
-        batch: Sequence[Scene],
-    ) -> tuple[Frames, UInt8[Tensor, "B 3 H W"], Mapping[str, Sequence[Detections]] | None]:
-        frames = draw(batch)
-        pixels = _bytes(frames)
-        return frames, pixels, look_at(pixels) if trainable else None
-
-    def look_at(pixels: UInt8[Tensor, "B 3 H W"]) -> Mapping[str, Sequence[Detections]]:
-        unlabelled = [torch.zeros(0, 4)] * len(pixels)
-        shown = Dataset.of_images(list(pixels), unlabelled, gsd_m=gsd_m)
-        return look(detectors, change.name, shown).found
-
-    batches = [scenes[start : start + _BATCH_SIZE] for start in range(0, len(scenes), _BATCH_SIZE)]
+) -> Iterator[SceneView]:
     gsd_m = scenes[0].camera.gsd_m
-    pictures: list[Picture] = []
-    boxes: list[Tensor] = []
-    visible: list[Tensor] = []
-    found: dict[str, list[Detections]] = {each.name: [] for each in detectors}
     threads = torch.get_num_threads()
     several = stage.renderer.concurrent and torch.device(stage.device).type == "cpu"
     trainable = several and all(isinstance(each, TrainableDetector) for each in detectors)
     count = min(threads, AT_A_TIME) if trainable else threads if several else 1
-    with in_threads(draw_and_look, batches, count) as drawn:
+
+    def work() -> Iterator[tuple[SceneChange, _Draw, Sequence[Scene]]]:
+        for change in changes:
+            draw = stage.under(change)
+            for start in range(0, len(scenes), _BATCH_SIZE):
+                yield change, draw, scenes[start : start + _BATCH_SIZE]
+
+    def draw_and_look(item: tuple[SceneChange, _Draw, Sequence[Scene]]) -> _Batch:
+        change, draw, batch = item
+        frames = draw(batch)
+        unlabelled = [torch.zeros(0, 4)] * len(batch)
+        shown = Dataset.of_images(list(_bytes(frames)), unlabelled, gsd_m=gsd_m)
+        found = seen(change, shown) if trainable else None
+        return _Batch(change, batch, draw, frames, shown, found)
+
+    def seen(change: SceneChange, shown: Dataset) -> SceneView:
+        return look(detectors, change.name, shown, other_classes=change.other_classes)
+
+    with in_threads(draw_and_look, work(), count) as drawn:
         if not trainable:
             # Rendering is done ahead, so most of the time the detectors have the cores alone.
             torch.set_num_threads(threads)
-        for batch, (frames, pixels, answers) in zip(batches, drawn, strict=True):
-            for name, detections in (answers or look_at(pixels)).items():
-                found[name] += detections
-            size_px = (pixels.shape[3], pixels.shape[2])
-            pictures += [_Rendered(size_px, partial(draw, [scene])) for scene in batch]
-            owner = frames.scene_index.cpu()
-            labels = _as_stored(frames.boxes.cpu())
-            boxes += [labels[owner == index] for index in range(len(batch))]
-            fractions = frames.visible_fraction.float().cpu()
-            visible += [fractions[owner == index] for index in range(len(batch))]
-            progress(len(batch))
+        for change, batches in itertools.groupby(drawn, key=lambda batch: batch.change):
+            parts = []
+            for batch in batches:
+                parts.append(replace(batch, seen=batch.seen or seen(change, batch.shown)))
+                progress(len(batch.scenes))
+            yield _joined(change.name, parts, scenes)
+
+
+def _joined(name: str, parts: Sequence[_Batch], scenes: Sequence[Scene]) -> SceneView:
+    """Joins the batches of one change."""
+    pictures: list[Picture] = []
+    boxes: list[Tensor] = []
+    visible: list[Tensor] = []
+    found: dict[str, list[Detections]] = defaultdict(list)
+    others: dict[str, list[Detections]] = defaultdict(list)
+    for part in parts:
+        assert part.seen is not None
+        for every, own in ((found, part.seen.found), (others, part.seen.others)):
+            for detector, detections in own.items():
+                every[detector] += detections
+        sizes = zip(part.shown.sizes_px, part.scenes, strict=True)
+        pictures += [_Rendered(size_px, partial(part.draw, [scene])) for size_px, scene in sizes]
+        owner = part.frames.scene_index.cpu()
+        labels = _as_stored(part.frames.boxes.cpu())
+        boxes += [labels[owner == index] for index in range(len(part.scenes))]
+        fractions = part.frames.visible_fraction.float().cpu()
+        visible += [fractions[owner == index] for index in range(len(part.scenes))]
     images = Dataset(
         pictures=pictures,
         boxes=boxes,
         ignore=[torch.zeros(0, 4)] * len(scenes),
         ids=[scene.id for scene in scenes],
-        gsd_m=gsd_m,
+        gsd_m=parts[0].shown.gsd_m,
         visible_fractions=visible,
     )
-    return SceneView(change.name, images, found)
+    return SceneView(name, images, found, others)
 
 
 @dataclass(frozen=True, eq=False)

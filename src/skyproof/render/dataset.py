@@ -2,7 +2,7 @@
 
 import hashlib
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
@@ -117,7 +117,7 @@ def _worn(camouflage: Callable[[VehicleBatch], VehicleBatch]) -> str:
 
 @contextmanager
 def in_threads(
-    work: Callable[[Item], Result], items: Sequence[Item], count: int
+    work: Callable[[Item], Result], items: Iterable[Item], count: int
 ) -> Iterator[Iterator[Result]]:
     """Yields the results of work in order, from threads that work ahead.
 
