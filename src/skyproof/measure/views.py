@@ -223,12 +223,16 @@ def _render_and_detect(
         if not trainable:
             # Rendering is done ahead, so most of the time the detectors have the cores alone.
             torch.set_num_threads(threads)
-        for change, batches in itertools.groupby(drawn, key=lambda batch: batch.change):
+        batches = math.ceil(len(scenes) / _BATCH_SIZE)
+        while True:
             parts = []
-            for batch in batches:
-                parts.append(replace(batch, seen=batch.seen or seen(change, batch.shown)))
+            # To ask for a batch beyond them would keep the view back until that is drawn.
+            for batch in itertools.islice(drawn, batches):
+                parts.append(replace(batch, seen=batch.seen or seen(batch.change, batch.shown)))
                 progress(len(batch.scenes))
-            yield _joined(change.name, parts, scenes)
+            if not parts:
+                return
+            yield _joined(parts[0].change.name, parts, scenes)
 
 
 def _joined(name: str, parts: Sequence[_Batch], scenes: Sequence[Scene]) -> SceneView:
