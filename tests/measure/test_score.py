@@ -2,6 +2,7 @@
 
 import json
 import time
+import weakref
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -215,6 +216,35 @@ def test_the_next_change_is_drawn_while_the_caller_looks_at_a_view(make_scene, f
         names.append(next(seen).name)
     assert names == ["original", "T-U", "R-U-0"]
     assert next(seen, None) is None
+
+
+def test_batches_are_let_go_before_their_view_is_whole(make_scene, fleet):
+    drawn = []
+
+    class Remembering(Flat):
+        def __call__(self, scenes, vehicles, *, masks=False):
+            frames = super().__call__(scenes, vehicles, masks=masks)
+            drawn.append(weakref.ref(frames))
+            return frames
+
+    stage = SceneRenderer(fleet, Remembering([200] * 20))
+    detectors = [judging(Brightest("one"), 0.5)]
+    scenes = some_scenes(make_scene, fleet, 20)
+    seen = views.views(detectors, scenes, [], stage, progress=lambda _: None)
+    assert len(next(seen).images) == len(drawn) * 8 - 4
+    # The last batch goes with the next view.
+    assert [frames() for frames in drawn[:-1]] == [None] * 2
+
+
+def test_other_classes_of_the_unchanged_scenes_are_asked_for_on_request(make_scene, fleet):
+    stage, detector = SceneRenderer(fleet, Flat([200] * 3)), black_box()
+    scenes = some_scenes(make_scene, fleet, 3)
+    for wanted in (False, True):
+        asked = views.views(
+            [detector], scenes, [], stage, other_classes=wanted, progress=lambda _: None
+        )
+        (view,) = asked
+        assert (view.called_another_class(detector) is not None) == wanted
 
 
 def test_outcomes_are_the_same_with_and_without_a_folder(tmp_path, make_scene, fleet):

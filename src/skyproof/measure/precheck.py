@@ -117,7 +117,7 @@ def precheck(
     changes = precheck_changes(ground_palette(data.backgrounds), draws=data.draws, seed=seed)
     stage = SceneRenderer(data.fleet, TorchRenderer(data.backgrounds), device)
     count = counter(progress, len(scenes) * (1 + len(changes)))
-    seen = views(detectors, scenes, changes, stage, progress=count)
+    seen = views(detectors, scenes, changes, stage, other_classes=True, progress=count)
     before = next(seen)
     rendered = BaselineSet(
         "rendered scenes",

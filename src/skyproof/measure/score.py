@@ -90,7 +90,15 @@ def score(
                 replace(change, other_classes=is_pictured(CamouflageName.read(change.name)))
                 for change in changes
             ]
-            shown = views(detectors, scenes, wanted, stage, unchanged=unchanged, progress=count)
+            shown = views(
+                detectors,
+                scenes,
+                wanted,
+                stage,
+                unchanged=unchanged,
+                other_classes=True,
+                progress=count,
+            )
             writer = _Writer(partial, detectors, scenes, stage.renderer.name, next(shown))
             rows = writer.baselines(seed)
             for after in shown:

@@ -63,7 +63,7 @@ class SceneView:
     _matched: dict[tuple[str, Match], MatchTable] = field(default_factory=dict, repr=False)
 
     def called_another_class(self, detector: Detector) -> Bool[np.ndarray, " T"] | None:
-        """Whether a detector finds no vehicle but another class, of the vehicles in sight.
+        """Tells for each vehicle in sight whether a detector finds only another class on it.
 
         By the lenient rule at the frozen threshold. None if its other classes are not known.
         """
@@ -119,24 +119,26 @@ def views(
     stage: SceneRenderer,
     *,
     unchanged: Dataset | None = None,
+    other_classes: bool = False,
     progress: Callable[[int], None],
 ) -> Iterator[SceneView]:
     """Yields the view of the scenes as they are, then one under each change.
 
     Images have 8 bits a channel, as in files. On a CPU several batches are rendered, and shown to
     networks, at a time, also while the caller looks at a view; the caller's thread alone asks
-    black-box detectors. `unchanged` are the
-    scenes as they are, if they are rendered already. `progress` gets the number of images of each
-    finished batch.
+    black-box detectors. `unchanged` are the scenes as they are, if they are rendered already;
+    `other_classes` asks for objects of other classes in them. `progress` gets the number of images
+    of each finished batch.
     """
     _check(detectors, scenes)
     if unchanged is None:
-        changes = itertools.chain([SceneChange(ORIGINAL, other_classes=True)], changes)
+        original = SceneChange(ORIGINAL, other_classes=other_classes)
+        changes = itertools.chain([original], changes)
     rendered = _render_and_detect(detectors, scenes, changes, stage, progress)
     if unchanged is None:
         before = next(rendered)
     else:
-        before = look(detectors, ORIGINAL, unchanged, other_classes=True)
+        before = look(detectors, ORIGINAL, unchanged, other_classes=other_classes)
         progress(len(scenes))
     for each in detectors:
         _refuse_blind(each, before)
@@ -225,44 +227,37 @@ def _render_and_detect(
             torch.set_num_threads(threads)
         batches = math.ceil(len(scenes) / _BATCH_SIZE)
         while True:
-            parts = []
-            # To ask for a batch beyond them would keep the view back until that is drawn.
+            pictures: list[Picture] = []
+            boxes: list[Tensor] = []
+            visible: list[Tensor] = []
+            found: dict[str, list[Detections]] = defaultdict(list)
+            others: dict[str, list[Detections]] = defaultdict(list)
+            # Asking for one batch more would delay the view until that batch is drawn.
             for batch in itertools.islice(drawn, batches):
-                parts.append(replace(batch, seen=batch.seen or seen(batch.change, batch.shown)))
+                change, frames = batch.change, batch.frames
+                shown = batch.seen or seen(change, batch.shown)
+                for every, own in ((found, shown.found), (others, shown.others)):
+                    for name, detections in own.items():
+                        every[name] += detections
+                sizes = zip(batch.shown.sizes_px, batch.scenes, strict=True)
+                pictures += [_Rendered(size, partial(batch.draw, [one])) for size, one in sizes]
+                owner = frames.scene_index.cpu()
+                labels = _as_stored(frames.boxes.cpu())
+                boxes += [labels[owner == index] for index in range(len(batch.scenes))]
+                fractions = frames.visible_fraction.float().cpu()
+                visible += [fractions[owner == index] for index in range(len(batch.scenes))]
                 progress(len(batch.scenes))
-            if not parts:
+            if not pictures:
                 return
-            yield _joined(parts[0].change.name, parts, scenes)
-
-
-def _joined(name: str, parts: Sequence[_Batch], scenes: Sequence[Scene]) -> SceneView:
-    """Joins the batches of one change."""
-    pictures: list[Picture] = []
-    boxes: list[Tensor] = []
-    visible: list[Tensor] = []
-    found: dict[str, list[Detections]] = defaultdict(list)
-    others: dict[str, list[Detections]] = defaultdict(list)
-    for part in parts:
-        assert part.seen is not None
-        for every, own in ((found, part.seen.found), (others, part.seen.others)):
-            for detector, detections in own.items():
-                every[detector] += detections
-        sizes = zip(part.shown.sizes_px, part.scenes, strict=True)
-        pictures += [_Rendered(size_px, partial(part.draw, [scene])) for size_px, scene in sizes]
-        owner = part.frames.scene_index.cpu()
-        labels = _as_stored(part.frames.boxes.cpu())
-        boxes += [labels[owner == index] for index in range(len(part.scenes))]
-        fractions = part.frames.visible_fraction.float().cpu()
-        visible += [fractions[owner == index] for index in range(len(part.scenes))]
-    images = Dataset(
-        pictures=pictures,
-        boxes=boxes,
-        ignore=[torch.zeros(0, 4)] * len(scenes),
-        ids=[scene.id for scene in scenes],
-        gsd_m=parts[0].shown.gsd_m,
-        visible_fractions=visible,
-    )
-    return SceneView(name, images, found, others)
+            images = Dataset(
+                pictures=pictures,
+                boxes=boxes,
+                ignore=[torch.zeros(0, 4)] * len(scenes),
+                ids=[scene.id for scene in scenes],
+                gsd_m=gsd_m,
+                visible_fractions=visible,
+            )
+            yield SceneView(change.name, images, found, others)
 
 
 @dataclass(frozen=True, eq=False)
