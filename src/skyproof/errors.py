@@ -33,6 +33,6 @@ class RunFolderError(SkyproofError):
 
 
 def is_full_memory(error: BaseException) -> bool:
-    """Tells whether the memory beside a CPU is full; torch has no error of its own for that."""
+    """Tells whether main memory is full, for which torch has no error class."""
     words = ("can't allocate memory", "you tried to allocate")
     return isinstance(error, MemoryError) or any(each in str(error) for each in words)

@@ -309,7 +309,7 @@ def add_gradients(
 
 
 def descend(camouflage: Camouflage, optimiser: torch.optim.Optimizer) -> None:
-    """Moves the camouflage one step down the gradient of its parameters, and forgets that."""
+    """Moves the camouflage one step down the gradient of its parameters, and clears it."""
     optimiser.step()
     optimiser.zero_grad(set_to_none=True)
     camouflage.project_()

@@ -98,16 +98,12 @@ class BlackBoxDetector(Detector):
 
     def of_other_classes(self) -> "BlackBoxDetector | None":
         """See `Detector.of_other_classes`."""
-        others = copy.copy(self)
-        others._finds_others = bool(self._vehicle_classes)
-        if others._finds_others:
+        if self._vehicle_classes:
+            others = copy.copy(self)
+            others._finds_others = True
             return others
         wrapped = self._wrapped.of_other_classes() if isinstance(self._wrapped, Detector) else None
-        if wrapped is None:
-            return None
-        others._wrapped = wrapped
-        others._detect = getattr(wrapped, "_detect", wrapped.detect)
-        return others
+        return None if wrapped is None else BlackBoxDetector(wrapped, self.name)
 
     def _are_meant(self, answer: Any, count: int) -> list[bool]:
         """Which boxes of an answer are of the classes that are looked for; all without classes."""

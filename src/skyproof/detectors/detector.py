@@ -63,7 +63,7 @@ class Detector:
         raise NotImplementedError
 
     def of_other_classes(self) -> "Detector | None":
-        """Gives the same detector of the classes that are no vehicles; None if none are known."""
+        """Returns this detector for the classes that are not vehicles; None if it knows none."""
         return None
 
     @property

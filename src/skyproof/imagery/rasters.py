@@ -98,10 +98,10 @@ def orientation_of(dataset: DatasetReader, path: Path) -> int:
 
 
 def is_faster_whole(dataset: DatasetReader) -> bool:
-    """Tells whether to read an image at once rather than a part of it, or smaller.
+    """Tells whether reading a whole image takes less time than a part or a smaller version of it.
 
-    GDAL decodes a PNG from its top to the rows asked for, and the whole in half of that time. It
-    does not notice then that the file was cut off.
+    GDAL decodes a whole PNG twice as fast, but then misses that the file was cut off, so that the
+    end of the file is checked here.
     """
     if dataset.driver != "PNG" or dataset.width * dataset.height > _WHOLE_PX:
         return False

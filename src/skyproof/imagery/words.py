@@ -108,8 +108,8 @@ def tiling_words(
         what = {"tiles": "tile"}
         if labelled:
             what |= {"vehicles": "vehicle", "ignored": "ignore region"}
-        told = ", ".join(counted(count[key], noun) for key, noun in what.items())
-        yield f"  {split:<10} {told}"
+        counts = ", ".join(counted(count[key], noun) for key, noun in what.items())
+        yield f"  {split:<10} {counts}"
     few = record.counts["test"]["tiles"]
     if 0 < few < _FEW_TILES:
         yield (

@@ -126,9 +126,10 @@ def twice_note(count: int, path: object) -> tuple[str, ...]:
 
 
 def flat_note(flat: Sequence[str], total: int, path: object, form: str) -> tuple[str, ...]:
-    """Tells of boxes without width or height, of which `flat` says where; refuses mostly such.
+    """Returns a note on boxes without width or height; labels that are mostly such are refused.
 
-    torchvision and Ultralytics leave them out as well, also those whose sides are exchanged.
+    `flat` holds the places of these boxes. torchvision and Ultralytics also leave them out, and
+    boxes whose sides are exchanged.
     """
     if not flat:
         return ()

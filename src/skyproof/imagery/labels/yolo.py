@@ -56,6 +56,10 @@ def split_texts(folder: Path) -> list[Path]:
     return sorted({*folder.glob(f"**/{_LABELS}/**/*.txt")})
 
 
+def _with_images(texts: Sequence[Path]) -> list[tuple[Path, Path]]:
+    return [(text, image) for text in texts if (image := image_of(text)) is not None]
+
+
 def read_yolo_labels(folder: Path, names: Path | None) -> ImageLabels:
     """Reads `class cx cy w h` or `class x1 y1 ... xn yn` lines, as shares of the image's sides.
 
@@ -66,12 +70,8 @@ def read_yolo_labels(folder: Path, names: Path | None) -> ImageLabels:
     classes = None if names is None else _classes(names)
     images = LabelledImages(folder, "centre x, centre y, width, height as shares of the image")
     root = folder / _LABELS
-    beside, below = label_texts(root if root.is_dir() else folder), split_texts(folder)
-    paired = (
-        [(text, image) for text in texts if (image := image_of(text)) is not None]
-        for texts in (beside, below)
-    )
-    for text, image in next(filter(None, paired), []):
+    beside = label_texts(root if root.is_dir() else folder)
+    for text, image in _with_images(beside) or _with_images(split_texts(folder)):
         size_px = image_size_px(image)
         images.add_image(image.stem, size_px)
         for where, words in text_lines(text):
