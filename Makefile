@@ -1,4 +1,5 @@
-# Everything a newcomer needs: `make demo`, `make test`. Nothing outside this folder is touched.
+# Everything a newcomer needs: `make demo`, `make test`. Outside this folder only the user's caches
+# are touched.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin

@@ -13,7 +13,7 @@ SOURCE = Path(__file__).parents[1] / "src" / "skyproof"
 FLOORS = [
     {"errors", "seeds"},
     {"ranges", "files", "words", "layout", "randomness", "console", "device"},
-    {"pictures"},
+    {"pictures", "kernels"},
     {"documents"},
     {"geometry", "storage"},
     {"loop"},
@@ -156,7 +156,7 @@ def test_nothing_needs_the_paper_or_the_learnt_vehicles():
         assert dependants(sources(), room) == [], room
 
 
-def test_geometry_needs_torch_alone():
+def test_geometry_needs_torch_and_kernels_alone():
     for module, text in sources().items():
         if module.startswith("geometry."):
             outside = {name.split(".")[0] for name in imports(text)} - {
@@ -165,8 +165,24 @@ def test_geometry_needs_torch_alone():
                 "math",
                 "typing",
             }
-            assert outside <= {"torch", "jaxtyping", "skyproof"}, module
-            assert {name.split(".")[0] for name in ours(imports(text))} <= {"geometry"}, module
+            assert outside <= {"torch", "warp", "jaxtyping", "skyproof"}, module
+            within = {name.split(".")[0] for name in ours(imports(text))}
+            assert within <= {"geometry", "kernels"}, module
+
+
+def test_kernels_are_written_where_no_checker_of_python_looks():
+    # pyproject.toml spares these files mypy, and without jaxtyping nothing checks their shapes.
+    modules = sources()
+    kernels = {
+        module
+        for module, text in modules.items()
+        if re.search(r"^@wp\.", text, re.MULTILINE) or "render.kernels" in module
+    }
+    assert {m for m in kernels if not m.startswith("render.kernels.")} == {"geometry.triangles"}
+    assert not kernels & set(importers(modules, "jaxtyping"))
+    overrides = (SOURCE.parents[1] / "pyproject.toml").read_text().split("[[tool.mypy.overrides]]")
+    spared = re.findall(r'"skyproof\.([^"]+)"', "".join(overrides[1:]))
+    assert spared == ["geometry.triangles", "render.kernels.*"]
 
 
 def test_the_report_loads_no_torch():

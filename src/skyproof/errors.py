@@ -21,7 +21,7 @@ class ImageryError(SkyproofError):
 
 
 class NotFiniteError(SkyproofError):
-    """Numbers that are not finite (NaN, infinity) where they would be stored, or were read."""
+    """Numbers that are not finite (NaN, infinity) where they are stored, read or drawn."""
 
 
 class StoredFileError(SkyproofError):

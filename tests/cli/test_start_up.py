@@ -7,7 +7,17 @@ import pytest
 
 from skyproof.main import COMMANDS
 
-LARGE = {"torch", "numpy", "scipy", "matplotlib", "pyarrow", "rasterio", "jaxtyping", "geopandas"}
+LARGE = {
+    "torch",
+    "warp",
+    "numpy",
+    "scipy",
+    "matplotlib",
+    "pyarrow",
+    "rasterio",
+    "jaxtyping",
+    "geopandas",
+}
 PROGRAM = """
 import sys
 from skyproof.main import run

@@ -15,7 +15,6 @@ from skyproof.render.layers import draw_bodies, draw_shadows, see_bodies
 from skyproof.render.lighting import lighting, scene_lights
 from skyproof.render.placed import place, windows_around
 from skyproof.render.settings import RenderSettings
-from skyproof.render.shadows import see_from_sun
 from skyproof.scenes.light import Light
 from skyproof.scenes.scene import BackgroundWindow, Camera, Placement, Scene, Sun
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
@@ -90,6 +89,13 @@ def drawn(workers):
     return scenes, vehicles, placed, [job.window_px for job in jobs], workers.run(jobs)
 
 
+def seen_bodies(scenes, vehicles, placed):
+    """What the other renderer sees of vehicles, and the light of the scenes."""
+    windows = windows_around(placed.screen), windows_around(placed.shadow_screen)
+    lights = scene_lights([Light()] * SCENES, scenes, placed.vertices)
+    return see_bodies(placed, *windows, vehicles, SETTINGS), lights
+
+
 def shadow_masks(scenes, vehicles, placed, crops, *, turned_deg=0.0, raised_deg=0.0):
     """Where the other renderer's cast shadows lie, with the sun elsewhere by so many degrees."""
     directions = [
@@ -102,23 +108,20 @@ def shadow_masks(scenes, vehicles, placed, crops, *, turned_deg=0.0, raised_deg=
     ]
     sun = placed.vertices.new_tensor(directions)
     screen, depth = project(placed.vertices, sun, GSD_M, SIZE_PX)
-    window = windows_around(screen)
     moved = dataclasses.replace(placed, sun=sun, shadow_screen=screen, sun_depth=depth)
-    faces = vehicles.template.faces
-    seen = see_from_sun(window, moved, faces, SETTINGS.shadow_supersampling)
-    layers = draw_shadows(seen, faces)[:, 0]
-    return [onto_crop(*each) for each in zip(layers, window.origin, crops, strict=True)]
+    seen, lights = seen_bodies(scenes, vehicles, moved)
+    # All of the sun is lost where its rays do not reach the ground.
+    layers = draw_shadows(seen, lights, SETTINGS)[..., 0]
+    return [onto_crop(*each) for each in zip(layers, seen.cast.origin, crops, strict=True)]
 
 
 @pytest.fixture(scope="module")
 def silhouettes(drawn):
     """Per scene the body's pixels in Cycles and in the other renderer."""
     scenes, vehicles, placed, crops, results = drawn
-    light = lighting(placed, scene_lights([Light()] * SCENES, scenes, placed.vertices))
-    window = windows_around(placed.screen)
-    seen = see_bodies(window, placed, vehicles, None, SETTINGS)
-    layers = draw_bodies(seen, light, vehicles, SETTINGS)
-    theirs = [onto_crop(*each) for each in zip(layers[:, 3], window.origin, crops, strict=True)]
+    seen, lights = seen_bodies(scenes, vehicles, placed)
+    layers = draw_bodies(seen, lighting(placed, lights, SETTINGS), vehicles, SETTINGS)[..., 3]
+    theirs = [onto_crop(*each) for each in zip(layers, seen.window.origin, crops, strict=True)]
     return [(result[..., 3] > 0.5, other) for result, other in zip(results, theirs, strict=True)]
 
 

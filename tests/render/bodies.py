@@ -127,12 +127,11 @@ class PlainGround:
     def __init__(
         self,
         value: float | None = 0.4,
-        dtype: torch.dtype = torch.float32,
         sensors: Mapping[str, Sensor] | None = None,
         light: Light | None = None,
         cover: torch.Tensor | None = None,
     ) -> None:
-        self.value, self.dtype, self.sensors = value, dtype, sensors or {}
+        self.value, self.sensors = value, sensors or {}
         self.light = light or Light()
         self.cover = cover
 
@@ -150,10 +149,8 @@ class PlainGround:
 
     def window(self, window: BackgroundWindow, size_px: int) -> torch.Tensor:
         if self.value is None:
-            return torch.rand(3, size_px, size_px, generator=torch.Generator().manual_seed(7)).to(
-                self.dtype
-            )
-        return torch.full((3, size_px, size_px), self.value, dtype=self.dtype)
+            return torch.rand(3, size_px, size_px, generator=torch.Generator().manual_seed(7))
+        return torch.full((3, size_px, size_px), self.value)
 
 
 def scene(

@@ -1,4 +1,4 @@
-"""Compositing and blur against a separate NumPy implementation (section S2.1)."""
+"""Compositing and blur against separate implementations in NumPy and torch (section S2.1)."""
 
 import math
 
@@ -6,15 +6,20 @@ import numpy as np
 import pytest
 import torch
 
+from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
 from skyproof.render.composite import composite
 from skyproof.render.layers import WindowLayers
 from skyproof.render.lighting import scene_lights
 from skyproof.render.placed import Windows
+from skyproof.render.sensor import noise_tiles
 from skyproof.render.settings import RenderSettings
 from skyproof.scenes.light import Light
 from skyproof.scenes.sensor import Sensor
 from tests.render.bodies import scene
 
+# Kernels work in 32 bits, and read linear light from a table; it is least exact where sRGB turns
+# from a line to a power.
+ROUNDING = 5e-6
 LIGHT = Light()
 SKY = np.array(LIGHT.sky)[:, None, None]
 
@@ -75,7 +80,7 @@ def test_on_even_ground_the_blur_is_the_papers():
     place(drawn, body[0].numpy(), 18, 20, 0)
     front = ground * (1 - drawn[3]) + drawn[:3]
     expected = to_srgb(ground + blurred(front - ground, settings.blur_sigma_px))
-    np.testing.assert_allclose(image[0].numpy(), expected, atol=1e-9)
+    np.testing.assert_allclose(image[0].numpy(), expected, atol=1e-6)
 
 
 def test_markings_do_not_shine_through_a_vehicle():
@@ -111,22 +116,29 @@ def compose(
     seeds=(0,),
     light=LIGHT,
 ):
+    photograph = photograph.float()
+    layers = [
+        WindowLayers(
+            Windows(torch.tensor(at), values.shape[-1]),
+            values.permute(0, 2, 3, 1).float().contiguous(),
+        )
+        for at, values in ((body_at, bodies), (shadow_at, shadows))
+    ]
     return composite(
         photograph.clone(),
-        bodies=WindowLayers(Windows(torch.tensor(body_at), bodies.shape[-1]), bodies),
-        shadows=WindowLayers(Windows(torch.tensor(shadow_at), shadows.shape[-1]), shadows),
+        bodies=layers[0],
+        shadows=layers[1],
         scene=torch.tensor(scenes),
-        nearness=torch.tensor(nearness, dtype=photograph.dtype),
+        nearness=torch.tensor(nearness),
         seeds=list(seeds),
         lights=scene_lights([light] * len(photograph), [scene()] * len(photograph), photograph),
         sensors=[settings.sensor_on(Sensor(), 0.125)] * len(photograph),
-    )
+    ).double()
 
 
 def noise_photograph(count=1, size=48, seed=9):
-    return torch.rand(
-        count, 3, size, size, dtype=torch.float64, generator=torch.Generator().manual_seed(seed)
-    )
+    drawn = torch.rand(count, 3, size, size, generator=torch.Generator().manual_seed(seed))
+    return drawn.double()
 
 
 @pytest.mark.parametrize("sigma_px", [2.4, 1.0, 0.6])
@@ -139,7 +151,7 @@ def test_a_hand_made_layer_is_composited_as_numpy_does(sigma_px, body_at):
     expected = by_hand(
         photograph[0].numpy(), body[0].numpy(), body_at, shadow[0].numpy(), shadow_at, settings
     )
-    np.testing.assert_allclose(image[0].numpy(), expected, atol=1e-9)
+    np.testing.assert_allclose(image[0].numpy(), expected, atol=ROUNDING)
 
 
 @pytest.mark.parametrize(("sigma_px", "side"), [(2.4, 17), (1.0, 5), (3.2, 23), (0.0, 1)])
@@ -160,11 +172,9 @@ def test_one_pixel_spreads_over_the_papers_kernel_and_no_further(sigma_px, side)
 
 def test_pixels_that_nothing_reaches_keep_the_photographs_bits():
     settings = RenderSettings(blur_sigma_px=2.4)
-    photograph = noise_photograph().float()
+    photograph = noise_photograph()
     # WindowLayers with an empty rim: its pixels are computed, and must come out as they were.
-    body, shadow = (
-        torch.nn.functional.pad(layer(9, seed).float(), (6, 6, 6, 6)) for seed in (1, 2)
-    )
+    body, shadow = (torch.nn.functional.pad(layer(9, seed), (6, 6, 6, 6)) for seed in (1, 2))
     image = compose(photograph, body, [(14, 14)], shadow[:, 2:], [(14, 14)], settings)
     untouched = torch.ones(48, 48, dtype=torch.bool)
     untouched[12:37, 12:37] = False
@@ -183,7 +193,7 @@ def test_full_shadow_leaves_its_light_of_each_channel():
     shaded = to_linear(image[0, :, 12:22, 10:20].numpy())
     open_ground = to_linear(photograph[0, :, 12:22, 10:20].numpy())
     np.testing.assert_allclose(
-        shaded, np.array([0.3, 0.2, 0.5])[:, None, None] * open_ground, atol=1e-9
+        shaded, np.array([0.3, 0.2, 0.5])[:, None, None] * open_ground, atol=5e-7
     )
 
 
@@ -232,7 +242,7 @@ def test_vehicles_land_in_their_own_image():
     )
     assert torch.equal(image[1], photographs[1])
     alone = compose(photographs[:1], bodies[1:2], at[1:2], shadows[:1], at[1:2], settings)
-    torch.testing.assert_close(image[:1], alone, atol=1e-12, rtol=0)
+    assert torch.equal(image[:1], alone)
 
 
 def test_noise_lies_on_rendered_pixels_with_the_strength_asked_for():
@@ -278,3 +288,91 @@ def test_light_is_got_back_from_how_it_is_shown():
     torch.testing.assert_close(lights.received(lights.shown(light)), light, atol=1e-9, rtol=0)
     # What is shown as white is not taken for endless light.
     assert float(lights.received(torch.ones_like(light)).max()) < 2.0
+
+
+def test_a_breath_of_shadow_leaves_what_the_photograph_shows():
+    """The light behind each value is got back, and shown as before."""
+    settings = RenderSettings(blur_sigma_px=0.0, noise=0.0)
+    photograph, nothing = noise_photograph(), torch.zeros(1, 4, 1, 1)
+    shade = torch.full((1, 2, 48, 48), 1e-9)
+    for light, least, most in ((LIGHT, (0.0,) * 3, 1.0), (HAZY, HAZY.black, 0.992)):
+        image = compose(photograph, nothing, [(0, 0)], shade, [(0, 0)], settings, light=light)
+        assert not torch.equal(image, photograph)
+        # Nothing is darker than the haze, and what burnt out is not taken for endless light.
+        shown = to_linear(photograph[0].numpy())
+        expected = to_srgb(np.clip(shown, np.array(least)[:, None, None], most))
+        np.testing.assert_allclose(image[0].numpy(), expected, atol=ROUNDING)
+
+
+def in_torch(photographs, bodies, body_at, shadows, shadow_at, settings, scenes, nearness, light):
+    """The formula of section S2.1 with autograd, image by image, on canvases with a wide rim."""
+    size, rim = photographs.shape[-1], 40
+    sigma_px = settings.blur_sigma_px
+    reach = 3 * math.ceil(sigma_px) - 1
+    kernel = torch.exp(-(torch.arange(-reach, reach + 1.0).double() ** 2) / (2 * sigma_px**2))
+    kernel = kernel / kernel.sum()
+    kernel = (kernel[:, None] * kernel).expand(6, 1, -1, -1)
+
+    def on_canvas(layer, at):
+        left, top = (rim + place for place in at)
+        room = size + 2 * rim - layer.shape[-1]
+        return torch.nn.functional.pad(layer, (left, room - left, top, room - top))
+
+    images = []
+    for number, photograph in enumerate(photographs.double()):
+        drawn = torch.zeros(6, size + 2 * rim, size + 2 * rim, dtype=torch.float64)
+        for index in sorted(range(len(bodies)), key=lambda index: nearness[index]):
+            if scenes[index] == number:
+                body = on_canvas(bodies[index], body_at[index])
+                shadow = on_canvas(shadows[index], shadow_at[index])
+                hidden = torch.cat((body[3:].expand(4, -1, -1), shadow))
+                drawn = drawn * (1 - hidden) + torch.cat((body, shadow))
+        drawn = torch.nn.functional.conv2d(drawn[None], kernel, padding=reach, groups=6)
+        drawn = drawn[0, :, rim : rim + size, rim : rim + size]
+        lights = scene_lights([light], [scene()], photograph)
+        ground = lights.received(srgb_to_linear(photograph)[None])[0]
+        sky = lights.sky[0][:, None, None]
+        kept = 1 - (1 - sky) * drawn[4] - sky * drawn[5]
+        pixels = lights.shown((ground * kept * (1 - drawn[3]) + drawn[:3])[None])[0]
+        # The scene's number is the seed of its noise.
+        noise = noise_tiles([number])[0].double()[:, :size, :size]
+        shown = linear_to_srgb(pixels) + settings.noise * drawn[3].detach() * noise
+        reached = (drawn[3:] > 0).any(0)
+        images.append(torch.where(reached, shown.clamp(0, 1), photograph))
+    return torch.stack(images)
+
+
+@pytest.mark.parametrize("light", [LIGHT, HAZY], ids=["clear", "hazy"])
+@pytest.mark.parametrize("sigma_px", [0.6, 2.4])
+def test_vehicles_that_hide_each_other_and_their_gradients_are_as_torch_has_them(sigma_px, light):
+    settings = RenderSettings(blur_sigma_px=sigma_px, noise=0.01)
+    photographs = noise_photograph(2) * 0.8 + 0.1
+    # Three in one picture, the nearest not the last; one reaches over the corner of another.
+    bodies = torch.cat([layer(15, seed) * 0.8 for seed in range(4)]).requires_grad_()
+    shadows = torch.cat([layer(17, 4 + seed)[:, 2:] * 0.9 for seed in range(4)]).requires_grad_()
+    body_at = [(17, 20), (-5, 38), (24, 26), (20, 14)]
+    shadow_at = [(20, 16), (-2, 36), (22, 20), (14, 16)]
+    given = (photographs, bodies, body_at, shadows, shadow_at, settings)
+    where = ((0, 1, 0, 0), (1.0, 0.5, 3.0, 2.0))
+    images, expected = compose(*given, *where, (0, 1), light), in_torch(*given, *where, light)
+    torch.testing.assert_close(images, expected, atol=ROUNDING, rtol=0)
+    weights = torch.randn(images.shape, generator=torch.Generator().manual_seed(0))
+    found, awaited = (
+        torch.autograd.grad((each * weights).sum(), (bodies, shadows))
+        for each in (images, expected)
+    )
+    for ours, theirs in zip(found, awaited, strict=True):
+        # Of every one of the four.
+        assert all(theirs.flatten(1).abs().amax(1) > 0.03)
+        assert float((ours - theirs).abs().max()) < 1e-5 * float(theirs.abs().max())
+
+
+def test_what_is_no_number_is_shown_as_none():
+    settings = RenderSettings(blur_sigma_px=0.0, noise=0.0)
+    body = layer(8, 0)
+    body[:, :3, 3, 5] = torch.nan
+    nothing = torch.zeros(1, 2, 1, 1)
+    image = compose(noise_photograph(), body, [(10, 10)], nothing, [(10, 10)], settings)
+    expected = torch.zeros_like(image, dtype=torch.bool)
+    expected[:, :, 13, 15] = True
+    assert torch.equal(image.isnan(), expected)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import pytest
 import torch
+import warp as wp
 
 from skyproof.camouflage.make import make_camouflage
 from skyproof.camouflage.paint import plain_paint
@@ -71,7 +72,7 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     genuine = module.see_bodies
 
     def see(*arguments: object) -> object:
-        looked.append(len(arguments[1].scene))
+        looked.append(len(arguments[0].scene))
         return genuine(*arguments)
 
     monkeypatch.setattr(module, "see_bodies", see)
@@ -122,11 +123,13 @@ def storages(value: object) -> dict[int, int]:
     if isinstance(value, torch.Tensor):
         storage = value.untyped_storage()
         return {storage.data_ptr(): storage.nbytes()}
+    if isinstance(value, wp.array):
+        return {value.ptr: value.capacity}
     inner = value if isinstance(value, tuple) else vars(value).values()
-    ours = type(value).__module__.startswith("skyproof")
+    ours = type(value).__module__.startswith(("skyproof", "warp._src.codegen"))
     found: dict[int, int] = {}
     for each in inner if ours or isinstance(value, tuple) else ():
-        if isinstance(each, torch.Tensor | tuple) or hasattr(each, "__dict__"):
+        if isinstance(each, torch.Tensor | tuple | wp.array) or hasattr(each, "__dict__"):
             found |= storages(each)
     return found
 

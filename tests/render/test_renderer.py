@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch.nn import functional
 
-from skyproof.errors import StoredFileError
+from skyproof.errors import NotFiniteError, StoredFileError
 from skyproof.geometry.colour import srgb_to_linear
 from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.render.portrait import close_up
@@ -323,7 +323,7 @@ def test_a_scene_is_the_same_alone_and_within_a_batch():
             ids=tuple(batch.ids[row] for row in rows),
         )
         alone = renderer([scenes[index]], own, masks=True)
-        torch.testing.assert_close(together.image[index], alone.image[0], atol=1e-6, rtol=0)
+        assert torch.equal(together.image[index], alone.image[0])
         assert torch.equal(together.masks[rows], alone.masks)
         torch.testing.assert_close(together.boxes[rows], alone.boxes, atol=1e-4, rtol=0)
 
@@ -404,3 +404,12 @@ def test_a_placement_is_read_in_metres_from_the_middle_of_the_image():
     place = dataclasses.replace(place, placements=(Placement("box-0000", -3.0, 0.0, 0.0),))
     frames = TorchRenderer(PlainGround(0.4))([place], vehicles())
     assert frames.centres[0, 0] < 48 - 3.0 / GSD + 3
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_vertices_that_are_no_numbers_are_refused_in_a_sentence(value):
+    batch = vehicles(3)
+    batch.vertices[1, 5, 2] = value
+    places = scene((0.0, 0.0, 0.0), (5.0, 0.0, 0.0), (-5.0, 0.0, 0.0))
+    with pytest.raises(NotFiniteError, match=r"finite numbers, but 1 of 3 have others"):
+        TorchRenderer(PlainGround(0.4))([places], batch)

@@ -325,13 +325,15 @@ def test_the_nearest_triangle_is_seen() -> None:
     for row in range(20):
         for column in range(20):
             place = -1 + 0.1 * (np.array([column, row]) + 0.5)
-            depths = np.full(len(corners), np.inf)
+            depths, weights = np.full(len(corners), np.inf), {}
             for face, (a, b, c) in enumerate(corners):
                 u, v = np.linalg.solve(np.array([b - a, c - a])[:, :2].T, place - a[:2])
                 if min(u, v, 1 - u - v) >= 0:
                     depths[face] = a[2] + u * (b - a)[2] + v * (c - a)[2]
+                    weights[face] = (1 - u - v, u, v)
             expected = int(depths.argmin()) if np.isfinite(depths).any() else -1
             assert seen.face[row, column] == expected
+            assert seen.weights[row, column] == pytest.approx(weights.get(expected, (0, 0, 0)))
 
 
 def test_a_mesh_reads_no_file_outside_its_places(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
@@ -19,7 +20,7 @@ from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
 from skyproof.render.composite import covers, hidden
 from skyproof.render.frames import Frames, Renderer
 from skyproof.render.lighting import SceneLights, scene_lights
-from skyproof.render.placed import label, nothing_placed, place, visible_samples
+from skyproof.render.placed import coverage_of, label, nothing_placed, place
 from skyproof.render.renderer import (
     Backgrounds,
     TorchRenderer,
@@ -28,7 +29,7 @@ from skyproof.render.renderer import (
     sensor_record,
     sensors,
 )
-from skyproof.render.sensor import blurred, sensor_noise
+from skyproof.render.sensor import blur_weights, noise_tiles
 from skyproof.render.settings import RenderSettings
 from skyproof.render.weather import finish_images, wet_grounds
 from skyproof.scenes.backgrounds import BackgroundSet
@@ -114,8 +115,8 @@ class CyclesRenderer:
             image = hidden(image, ground, cover)
         finished = finish_images(image, scenes)
         factor = self.shared.supersampling
-        visibility, window = visible_samples(placed, vehicles.template.faces, factor)
-        return label(finished, placed, visibility, window, factor, cover=cover, masks=masks)
+        coverage, window = coverage_of(placed, vehicles.template.faces, factor)
+        return label(finished, placed, coverage, window, cover=cover, masks=masks)
 
 
 @contextmanager
@@ -175,16 +176,13 @@ def composite_crops(
     mean = total / weight.clamp(min=_LEAST_WEIGHT)
     colour, alpha, ratio = mean.split((3, 1, 3))
     taken = alpha + (1 - alpha) * (1 - ratio) * nearest * (weight > 0)
-    middle = torch.tensor([[radius, radius]], device=photograph.device)
-    colour, alpha, taken = (
-        blurred(layer[None], [sensor], middle, (size, size))[0] for layer in (colour, alpha, taken)
-    )
+    colour, alpha, taken = (_blurred(layer, sensor) for layer in (colour, alpha, taken))
     ground = lights.received(srgb_to_linear(photograph)[None])
     mixed = (ground * (1 - taken) + colour).clamp(min=0.0)
     pixels = linear_to_srgb(lights.shown(mixed))[0]
     if sensor.noise > 0:
-        steps = torch.arange(size, device=photograph.device)[None]
-        noise = sensor_noise([seed], steps, steps, photograph[None])[0]
+        tile = noise_tiles([seed])[0].to(pixels)
+        noise = tile.repeat(1, *[math.ceil(size / len(tile[0]))] * 2)[:, :size, :size]
         pixels = pixels + sensor.noise * alpha * noise
     reached = (taken != 0).any(0) | (alpha[0] > 0)
     return torch.where(reached, pixels.clamp(0.0, 1.0), photograph)
@@ -200,3 +198,11 @@ def _inwards(
         for end, way in zip(cut, (step, length - step), strict=True)
     )
     return (torch.minimum(from_first, from_last) / max(margin, 1)).clamp(max=1.0)
+
+
+def _blurred(picture: Float[Tensor, "C S S"], sensor: Sensor) -> Float[Tensor, "C s s"]:
+    """Returns a picture under its sensor's Gaussian blur, without a rim as wide as its reach."""
+    half = blur_weights([sensor], sensor.blur_radius_px, picture)[0]
+    kernel = torch.cat((half[1:].flip(0), half))
+    down = F.conv2d(picture[:, None], kernel.view(1, 1, -1, 1))
+    return F.conv2d(down, kernel.view(1, 1, 1, -1))[:, 0]

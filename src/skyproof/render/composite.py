@@ -4,18 +4,32 @@ Crowns and roofs of the photograph hide parts of the vehicles that stand beneath
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import torch
 import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
-from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
 from skyproof.geometry.rasterise import rasterise
+from skyproof.geometry.triangles import NOTHING_KEY
+from skyproof.kernels import rows, struct
+from skyproof.render.kernels.canvas import (
+    ImageLayers,
+    SensorWindows,
+    blur,
+    finish_pixels,
+    finish_pixels_back,
+    lay,
+    lay_back,
+)
 from skyproof.render.layers import WindowLayers
 from skyproof.render.lighting import SceneLights
-from skyproof.render.placed import Placed, windows_around
-from skyproof.render.sensor import blurred, sensor_noise
+from skyproof.render.linear_texture import tables
+from skyproof.render.placed import Placed, Windows, windows_around
+from skyproof.render.sensor import blur_weights, noise_tiles
 from skyproof.scenes.scene import BackgroundWindow, Scene
 from skyproof.scenes.sensor import Sensor
 
@@ -24,7 +38,7 @@ _BLUR_PX = 2
 
 
 def composite(
-    photographs: Float[Tensor, "B 3 H W"],
+    photographs: Float[Tensor, "B 3 S S"],
     *,
     bodies: WindowLayers,
     shadows: WindowLayers,
@@ -33,14 +47,14 @@ def composite(
     seeds: Sequence[int],
     lights: SceneLights,
     sensors: Sequence[Sensor],
-    cover: Float[Tensor, "B 1 H W"] | None = None,
-) -> Float[Tensor, "B 3 H W"]:
+    cover: Float[Tensor, "B 1 S S"] | None = None,
+) -> Float[Tensor, "B 3 S S"]:
     """Lays blurred vehicles over the photographs, and adds noise where something was rendered.
 
     I = I_bg * kept * (1 - G(coverage)) + G(coverage * colour), in linear light, where kept is the
     sun and sky that the blurred shadows leave. The photograph's light decides its black, white and
     shoulder. A pixel out of reach keeps the photograph's value exactly. A nearer vehicle hides a
-    farther one. Shadows fall on the ground alone.
+    farther one. Shadows fall on the ground alone. It is differentiable in bodies and shadows.
 
     Differences from the paper: I_bg + G(I_fg - I_bg) (section 3.2) is the same on even ground, but
     lane markings shine through the vehicle. Here the photograph is hidden by as much as the blurred
@@ -52,137 +66,131 @@ def composite(
         seeds: seeds of the noise, one per image.
         cover: share of each pixel in which the photograph hides all of this.
     """
-    count, _, height, width = photographs.shape
+    count, size_px = len(photographs), photographs.shape[-1]
+    ground = None if cover is None else photographs.clone()
     # One window per image, around all that is drawn near it; another of it and its blur, of which
     # only what lies inside the photograph is worked out.
     margin_px = max(sensor.blur_radius_px for sensor in sensors)
-    origin, size = _whole([bodies, shadows], scene, count, (width, height), margin_px + 1)
-    shown, shape = _inside(origin, size, margin_px, (width, height))
-    rank = _ranks(scene, nearness)
-    layers = _lay(bodies, origin, size, scene, rank, _cover)
-    shadow = _lay(shadows, origin, size, scene, rank, _join)
-    drawn = blurred(torch.cat((layers, shadow), dim=1), sensors, shown - origin, shape)
-    colour, alpha, sun_lost, sky_lost = drawn.split((3, 1, 1, 1), dim=1)
-
-    x = shown[:, 0, None] + torch.arange(shape[0], device=photographs.device)
-    y = shown[:, 1, None] + torch.arange(shape[1], device=photographs.device)
-    pixel = (y * width)[:, None, :, None] + x[:, None, None, :]
-    place = (pixel + _planes(count, 3, height * width, photographs.device)).flatten()
-    ground_srgb = photographs.view(-1).index_select(0, place).view(count, 3, *shape[::-1])
-
-    # Light adds up; then the sensor makes a picture of it.
-    ground = lights.received(srgb_to_linear(ground_srgb))
-    sky = lights.sky[:, :, None, None]
-    kept_light = 1 - (1 - sky) * sun_lost - sky * sky_lost
-    pixels = linear_to_srgb(lights.shown(ground * kept_light * (1 - alpha) + colour))
-    if any(sensor.noise > 0 for sensor in sensors):
-        noise = sensor_noise(seeds, y, x, ground)
-        strength = ground.new_tensor([sensor.noise for sensor in sensors])[:, None, None, None]
-        pixels = torch.addcmul(pixels, strength * alpha.detach(), noise)
-    reached = (drawn.detach()[:, 3:] > 0).any(1, keepdim=True)
-    pixels = torch.where(reached, pixels.clamp(0.0, 1.0), ground_srgb)
-    if cover is not None:
-        covering = pixel + _planes(count, 1, height * width, photographs.device)
-        pixels = hidden(pixels, ground_srgb, cover.view(-1)[covering])
-    # In place: a copy of the images would cost as much as the rest of this function.
-    photographs.view(-1).index_put_((place,), pixels.flatten())
-    return photographs
-
-
-@torch.no_grad()
-def _inside(
-    origin: Int[Tensor, "B 2"], size: int, margin_px: int, whole: tuple[int, int]
-) -> tuple[Int[Tensor, "B 2"], tuple[int, int]]:
-    """Windows (x, y) inside the images around the given ones and a margin, and their one size."""
-    wide = min(size + 2 * margin_px, whole[0])
-    high = min(size + 2 * margin_px, whole[1])
-    most = origin.new_tensor([whole[0] - wide, whole[1] - high])
-    return (origin - margin_px).clamp(min=0).minimum(most), (wide, high)
+    windows = (bodies.window, shadows.window)
+    origin, size = _whole(windows, scene, count, size_px, margin_px + 1)
+    shown_px = min(size + 2 * margin_px, size_px)
+    shown = (origin - margin_px).clamp(0, size_px - shown_px)
+    before = torch.bincount(scene, minlength=count).cumsum(0)
+    order = torch.argsort(nearness, stable=True)
+    canvas = struct(
+        ImageLayers,
+        first=F.pad(before, (1, 0)).int(),
+        vehicles=order[torch.argsort(scene[order], stable=True)].int(),
+        origins=origin.int(),
+        bodies=bodies.values.detach(),
+        body_origins=bodies.window.origin.int(),
+        shadows=shadows.values.detach(),
+        shadow_origins=shadows.window.origin.int(),
+    )
+    differentiable = bodies.values.requires_grad or shadows.values.requires_grad
+    keep = differentiable and torch.is_grad_enabled()
+    drawn = photographs.new_empty(count, shown_px, shown_px, 6)
+    strength = drawn.new_tensor([[sensor.noise] for sensor in sensors])
+    shows = (lights.white, lights.black, lights.sky, lights.shoulder, strength)
+    kept = drawn.new_empty(2, *drawn.shape[:3] if keep else (0, 0, 0), 3)
+    picture = struct(
+        SensorWindows,
+        corners=shown.int(),
+        drawn=drawn,
+        shows=torch.cat(shows, dim=1),
+        noise=noise_tiles(seeds).to(drawn),
+        linear=tables(drawn.device)["linear"],
+        ground=kept[0],
+        slopes=kept[1],
+    )
+    weights = blur_weights(sensors, margin_px, drawn)
+    sheet = _Sheet(canvas, size, weights, (shown - origin).int(), picture, drawn, keep)
+    image = _Laid.apply(bodies.values, shadows.values, photographs, sheet)
+    return image if cover is None or ground is None else hidden(image, ground, cover)
 
 
-def _planes(count: int, channels: int, area: int, device: torch.device) -> Int[Tensor, "B C 1 1"]:
-    """Returns where each channel of each image begins in a flat batch of images."""
-    return (torch.arange(count * channels, device=device) * area).view(count, channels, 1, 1)
+@dataclass(frozen=True)
+class _Sheet:
+    """A canvas of `size` and the picture that a blur makes of it, from `offsets` (x, y) on."""
+
+    canvas: Any
+    size: int
+    weights: Float[Tensor, "B _"]
+    offsets: Int[Tensor, "B 2"]
+    picture: Any
+    drawn: Float[Tensor, "B h w 6"]
+    keep: bool
+
+    def blur(
+        self, offsets: Int[Tensor, "B 2"], axis: int, given: Tensor, blurred: Tensor
+    ) -> Tensor:
+        """Blurs along rows (0) or columns (1)."""
+        rows(blur, blurred.shape, self.weights, offsets, axis, given, blurred)
+        return blurred
+
+
+class _Laid(torch.autograd.Function):
+    """Vehicles and shadows laid over photographs, which are written over."""
+
+    @staticmethod
+    def forward(
+        context: Any,
+        bodies: Float[Tensor, "N S S 4"],
+        shadows: Float[Tensor, "N Z Z 2"],
+        photographs: Float[Tensor, "B 3 H W"],
+        sheet: _Sheet,
+    ) -> Float[Tensor, "B 3 H W"]:
+        count, _, width, _ = sheet.drawn.shape
+        laid = photographs.new_empty(count, sheet.size, sheet.size, 6)
+        rows(lay, laid.shape, sheet.canvas, laid)
+        along = sheet.blur(sheet.offsets, 0, laid, laid.new_empty(count, sheet.size, width, 6))
+        sheet.blur(sheet.offsets, 1, along, sheet.drawn)
+        rows(finish_pixels, sheet.drawn.shape, sheet.picture, sheet.keep, photographs)
+        context.mark_dirty(photographs)
+        context.sheet, context.shapes = sheet, (bodies.shape, shadows.shape)
+        return photographs
+
+    @staticmethod
+    @once_differentiable
+    def backward(context: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        sheet, gradient = context.sheet, gradients[0].contiguous()
+        count, _, width, _ = sheet.drawn.shape
+        to_drawn = torch.empty_like(sheet.drawn)
+        rows(finish_pixels_back, to_drawn.shape, sheet.picture, gradient, to_drawn)
+        # The same blur, from the pictures to the canvases.
+        along = to_drawn.new_empty(count, sheet.size, width, 6)
+        sheet.blur(-sheet.offsets, 1, to_drawn, along)
+        laid = to_drawn.new_empty(count, sheet.size, sheet.size, 6)
+        sheet.blur(-sheet.offsets, 0, along, laid)
+        to_bodies, to_shadows = (gradient.new_zeros(shape) for shape in context.shapes)
+        rows(lay_back, laid.shape, sheet.canvas, laid, to_bodies, to_shadows)
+        return to_bodies, to_shadows, None, None
 
 
 @torch.no_grad()
 def _whole(
-    drawn: Sequence[WindowLayers],
+    windows: Sequence[Windows],
     scene: Int[Tensor, " N"],
     count: int,
-    whole: tuple[int, int],
+    size_px: int,
     margin_px: int,
 ) -> tuple[Int[Tensor, "B 2"], int]:
     """Per image the top-left pixel of one window around all small ones, and their one size.
 
-    They reach beyond an image by no more than a margin; `_lay` gathers what is farther out.
+    They reach beyond an image by no more than a margin; what is farther out shows nowhere.
     """
     index = scene[:, None].expand(-1, 2)
     far = torch.iinfo(torch.long).max // 4
     low = torch.full((count, 2), far, dtype=torch.long, device=scene.device)
     high = -low
-    for layers in drawn:
-        window = layers.window
+    for window in windows:
         low = low.scatter_reduce(0, index, window.origin, "amin")
         high = high.scatter_reduce(0, index, window.origin + window.size, "amax")
     empty = low == far
-    most = low.new_tensor(whole) + margin_px
-    low = low.masked_fill(empty, 0).clamp(min=-margin_px).minimum(most)
-    high = high.masked_fill(empty, 0).clamp(min=-margin_px).minimum(most)
+    low, high = (
+        each.masked_fill(empty, 0).clamp(-margin_px, size_px + margin_px) for each in (low, high)
+    )
     return low, max(1, int((high - low).max()))
-
-
-@torch.no_grad()
-def _ranks(scene: Int[Tensor, " N"], nearness: Float[Tensor, " N"]) -> Int[Tensor, " N"]:
-    """Returns the place of each vehicle among those of its image, the farthest first."""
-    order = torch.argsort(nearness, stable=True)
-    order = order[torch.argsort(scene[order], stable=True)]
-    sorted_scene = scene[order]
-    first = torch.searchsorted(sorted_scene, sorted_scene)
-    rank = torch.empty_like(scene)
-    rank[order] = torch.arange(len(scene), device=scene.device) - first
-    return rank
-
-
-def _cover(below: Tensor, above: Tensor) -> Tensor:
-    """Lays a body over what is there."""
-    return below * (1 - above[:, 3:]) + above
-
-
-def _join(below: Tensor, above: Tensor) -> Tensor:
-    """Joins two shadows, which darken the ground once."""
-    return below + above - below * above
-
-
-def _lay(
-    drawn: WindowLayers,
-    origin: Int[Tensor, "B 2"],
-    size: int,
-    scene: Int[Tensor, " N"],
-    rank: Int[Tensor, " N"],
-    over: Callable[[Tensor, Tensor], Tensor],
-) -> Float[Tensor, "B C W W"]:
-    """Lays every vehicle's layers into its image's window, one vehicle per image at a time."""
-    window, layers = drawn.window, drawn.values
-    channels = layers.shape[1]
-    # Where each pixel of each vehicle's window lies on the canvas of all windows.
-    shift = window.origin - origin[scene]
-    steps = torch.arange(window.size, device=layers.device)
-    rows = (shift[:, 1, None] + steps).clamp(0, size - 1)[:, None, :, None]
-    columns = (shift[:, 0, None] + steps).clamp(0, size - 1)[:, None, None, :]
-    channel = torch.arange(channels, device=layers.device)
-    plane = (scene[:, None] * channels + channel)[:, :, None, None]
-    place = (plane * size + rows) * size + columns
-    canvas = layers.new_zeros(len(origin) * channels * size * size)
-    for turn in range(int(rank.max()) + 1):
-        chosen = torch.nonzero(rank == turn)[:, 0]
-        where = place.index_select(0, chosen)
-        above = layers.index_select(0, chosen)
-        if turn:
-            below = canvas.index_select(0, where.flatten()).view_as(above)
-            above = over(below, above)
-        canvas.index_put_((where,), above)
-    return canvas.view(len(origin), channels, size, size)
 
 
 @torch.no_grad()
@@ -240,10 +248,10 @@ def _drawn(
     for screen in (placed.screen[rows], placed.shadow_screen[rows]):
         window = windows_around(screen)
         samples = window.samples(screen, 1)
-        seen = rasterise(samples, samples.new_zeros(samples.shape[:2]), faces, window.size)
-        x = window.origin[seen.vehicle, 0] + seen.x
-        y = window.origin[seen.vehicle, 1] + seen.y
+        keys = rasterise(samples, samples.new_zeros(samples.shape[:2]), faces, window.size)
+        vehicle, row, column = torch.nonzero(keys != NOTHING_KEY, as_tuple=True)
+        x, y = window.origin[vehicle, 0] + column, window.origin[vehicle, 1] + row
         inside = (x >= 0) & (x < size_px) & (y >= 0) & (y < size_px)
-        scene = placed.scene[rows][seen.vehicle]
+        scene = placed.scene[rows][vehicle]
         drawn[scene[inside], 0, y[inside], x[inside]] = 1.0
     return F.max_pool2d(drawn, 2 * _BLUR_PX + 1, stride=1, padding=_BLUR_PX) > 0

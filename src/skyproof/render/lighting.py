@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 from functools import lru_cache
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from skyproof.render.placed import Placed
@@ -26,18 +26,8 @@ OVERCAST: SkyType = (4.0, -0.7, 0.0, -1.0, 0.0)
 
 _LOWEST = 1e-2
 _ROWS, _COLUMNS = 32, 64
-# Of the change from mirrored sky to mirrored ground, around the horizon.
-_HORIZON_SHARPNESS = 12.0
-# What of the vehicle hides the sun hides the brighter half of a clear sky, too, from what faces it:
-# about as much as path tracing has it between bumps (docs/cycles.md), and as a vehicle takes from
-# the ground close to it.
-_SHADED_SKY_LOSS = 0.7
-# In units of white; path tracing cuts single paths there, too.
-_BRIGHTEST_GLINT = 5.0
-# The logarithm of a glint's lobe where nothing of it is left.
-_DARKEST_LOG = -80.0
-_LEAST_ROOM = 1e-3
-_NEARLY_WHITE = 0.98
+LEAST_ROOM = 1e-3
+NEARLY_WHITE = 0.98
 # A sky that gives more of the light than this has clouds in it.
 _CLEAR_SHARE = 0.35
 
@@ -75,21 +65,6 @@ def mean_luminance(kind: SkyType, sun_elevation_deg: int) -> float:
 
 
 @dataclass(frozen=True)
-class Lighting:
-    """The light on each of N vehicles, as in `SceneLights`, and unit vectors to sun and camera.
-
-    `sunlit` is the share of the direct sun that the photograph's shadows leave.
-    """
-
-    sun: Float[Tensor, "N 3"]
-    viewer: Float[Tensor, "N 3"]
-    sky: Float[Tensor, "N 3"]
-    overcast: Float[Tensor, "N 1"]
-    sunlit: Float[Tensor, "N 1"]
-    clear_mean: Float[Tensor, "N 1"]
-
-
-@dataclass(frozen=True)
 class SceneLights:
     """How B pictures show light, linear and per channel.
 
@@ -118,7 +93,7 @@ class SceneLights:
             return light
         black, white, shoulder = self._levels()
         value = black + light * (white - black)
-        room = (1 - shoulder).clamp(min=_LEAST_ROOM)
+        room = (1 - shoulder).clamp(min=LEAST_ROOM)
         above = shoulder + room * torch.tanh((value - shoulder).clamp(min=0.0) / room)
         return torch.where(value > shoulder, torch.where(shoulder < 1, above, value), value)
 
@@ -130,8 +105,8 @@ class SceneLights:
         if self._plain:
             return shown
         black, white, shoulder = self._levels()
-        room = (1 - shoulder).clamp(min=_LEAST_ROOM)
-        part = ((shown - shoulder).clamp(min=0.0) / room).clamp(max=_NEARLY_WHITE)
+        room = (1 - shoulder).clamp(min=LEAST_ROOM)
+        part = ((shown - shoulder).clamp(min=0.0) / room).clamp(max=NEARLY_WHITE)
         straight = shoulder + room * torch.arctanh(part)
         value = torch.where(shown > shoulder, torch.where(shoulder < 1, straight, shown), shown)
         return ((value - black) / (white - black)).clamp(min=0.0)
@@ -145,7 +120,7 @@ class SceneLights:
     def _levels(self) -> tuple[Tensor, Tensor, Tensor]:
         black = self.black[:, :, None, None]
         # Where a haze as bright as white leaves nothing to show, a little is left.
-        white = torch.maximum(self.white[:, :, None, None], black + _LEAST_ROOM)
+        white = torch.maximum(self.white[:, :, None, None], black + LEAST_ROOM)
         return black, white, self.shoulder[:, :, None, None]
 
 
@@ -174,81 +149,24 @@ def scene_lights(lights: Sequence[Light], scenes: Sequence[Scene], like: Tensor)
     )
 
 
-def lighting(placed: Placed, lights: SceneLights) -> Lighting:
-    """Returns the light on each vehicle."""
-    scene: Int[Tensor, " N"] = placed.scene
+def lighting(
+    placed: Placed, lights: SceneLights, settings: RenderSettings
+) -> Float[Tensor, "N 20"]:
+    """Returns the light on each vehicle as one row, as `kernels.light.SurfaceLight` has it.
+
+    What is the same all over a vehicle is worked out once for it.
+    """
     elevations = torch.rad2deg(torch.arcsin(placed.sun[:, 2].clamp(0.0, 1.0))).round().tolist()
     means = [[mean_luminance(CLEAR, int(degrees))] for degrees in elevations]
-    return Lighting(
-        sun=placed.sun,
-        viewer=placed.viewer,
-        sky=lights.sky[scene],
-        overcast=lights.overcast[scene],
-        sunlit=placed.sunlit[:, None],
-        clear_mean=placed.sun.new_tensor(means),
-    )
-
-
-def light(
-    normal: Float[Tensor, "3 K"],
-    lighting: Lighting,
-    vehicle: Int[Tensor, " K"],
-    sunlit: Float[Tensor, " _"],
-    gloss: Float[Tensor, "2 _"],
-    settings: RenderSettings,
-) -> tuple[Float[Tensor, "3 K"], Float[Tensor, "3 K"]]:
-    """Returns the diffuse light on a surface, and the radiance that its gloss mirrors, per channel.
-
-    A white matt surface on open ground sends 1 in every channel at any elevation of the sun,
-    because the exposure was set for its light. Radiance is albedo * diffuse + mirrored. The
-    mirrored light does not reach the paint (Fresnel towards the viewer, as path tracers layer a
-    coat).
-
-    Samples have unit normals, rows of `lighting`, and, alone or in common, the share of the sun's
-    light that their own vehicle lets through and columns of `gloss_table`.
-    """
+    sky, sun, viewer = lights.sky[placed.scene], placed.sun, placed.viewer
     # The sun's light across its rays, and the light that ground around sends back.
-    direct = (1 - lighting.sky) * lighting.sunlit
-    strength = direct * lighting.sun[:, 2:].reciprocal()
-    ground = settings.ground_reflectance * (direct + lighting.sky)
-    # What is the same all over a vehicle is worked out once for it, and looked up by its samples.
-    sun_and_viewer = (lighting.sun * lighting.viewer).sum(1, keepdim=True)
-    halving = (lighting.sun + lighting.viewer).norm(dim=1, keepdim=True).reciprocal()
-    dimming = lighting.clear_mean.reciprocal()
-    vectors = (lighting.sun, lighting.viewer, lighting.sky, strength, ground)
-    scalars = (sun_and_viewer, halving, lighting.overcast, dimming)
-    rows = torch.cat((*vectors, *scalars), dim=1).t().index_select(1, vehicle)
-    sun, viewer, sky, strength, ground = rows[:15].split(3)
-    sun_and_viewer, halving, overcast, dimming = rows[15:]
-    # The more a surface faces down, the more of the ground before it is the vehicle's own shadow.
-    # Squared, so that gradients do not jump at level normals.
-    ground = ground * (1 - normal[2].clamp(max=0.0).square())
-    towards_sun = (normal * sun).sum(0)
-    facing_sun = towards_sun.clamp(min=0.0)
-    sunny = facing_sun * sunlit
-    sky_left = 1 - _SHADED_SKY_LOSS * (facing_sun - sunny) * (1 - overcast)
-    open_sky = 0.5 + 0.5 * normal[2]
-    diffuse = torch.addcmul(torch.lerp(ground, sky * sky_left, open_sky), strength, sunny)
-    # Mirrored surroundings: from above, a steep side mirrors the ground, not the sky.
-    reflectance, exponent = gloss
-    # Where faces turn away, normals between their corners may before them: seen edge-on at most, or
-    # sills would mirror the sky.
-    cosine = (normal * viewer).sum(0).clamp(min=0.0)
-    # Schlick's, for reflectances up to that of the table; nothing where nothing is mirrored.
-    grazing = (1 - cosine).clamp(min=0.0)
-    square = grazing * grazing
-    fresnel = reflectance + (settings.gloss - reflectance) * (square * square * grazing)
-    # Of the mirrored ray, 2 cosine normal - viewer, the height and the cosine to the sun.
-    up = 2 * cosine * normal[2] - viewer[2]
-    clear = relative_luminance(CLEAR, up, 2 * cosine * towards_sun - sun_and_viewer)
-    cloudy = relative_luminance(OVERCAST, up, up) / mean_luminance(OVERCAST, 90)
-    luminance = torch.lerp(clear * dimming, cloudy, overcast)
-    surroundings = torch.lerp(ground, sky * luminance, torch.sigmoid(up * _HORIZON_SHARPNESS))
-    # The sun's glint, which a sensor shows as white long before it ends. Its lobe is around the
-    # direction half-way from the sun to the viewer. A power takes far longer than exp and log, and
-    # exp far longer where it vanishes.
-    aligned = ((towards_sun + cosine) * halving).clamp(min=1e-6)
-    lobe = torch.exp((exponent * aligned.log()).clamp(min=_DARKEST_LOG))
-    peak = reflectance * (exponent + 8) / 8
-    glint = (peak * lobe * sunny * strength).clamp(max=_BRIGHTEST_GLINT)
-    return diffuse * (1 - fresnel), torch.addcmul(glint, fresnel, surroundings)
+    direct = (1 - sky) * placed.sunlit[:, None]
+    ground = settings.ground_reflectance * (direct + sky)
+    scalars = (
+        (sun * viewer).sum(1, keepdim=True),
+        (sun + viewer).norm(dim=1, keepdim=True).reciprocal(),
+        lights.overcast[placed.scene],
+        sun.new_tensor(means).reciprocal(),
+        sun.new_full((len(sun), 1), settings.gloss),
+    )
+    return torch.cat((sun, viewer, sky, direct / sun[:, 2:], ground, *scalars), dim=1)

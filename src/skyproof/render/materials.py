@@ -1,5 +1,7 @@
 """What each part of a vehicle is made of: one table for both renderers."""
 
+from functools import cache
+
 import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
@@ -44,7 +46,8 @@ def material_table(finish: str = "gloss") -> Float[Tensor, "8 4"]:
     return torch.tensor([_FINISHES[part] for part in Part] + [_CAMOUFLAGE[finish]])
 
 
-def gloss_table(share: float = 1.0) -> Float[Tensor, "8 2"]:
+@cache
+def gloss_table(share: float = 1.0, device: torch.device | None = None) -> Float[Tensor, "8 2"]:
     """Returns each label's reflectance at normal incidence (times `share`), and glint's exponent.
 
     The exponent is that of a Blinn-Phong lobe as wide as the microfacet distribution of the same
@@ -55,7 +58,7 @@ def gloss_table(share: float = 1.0) -> Float[Tensor, "8 2"]:
         reflectance = share * _REFLECTANCE * max(coat, specular / 0.5)
         exponent = 2 / (coat_rough if coat else rough) ** 4 - 2
         rows.append((reflectance, min(max(exponent, 1.0), _SHARPEST_EXPONENT)))
-    return torch.tensor(rows)
+    return torch.tensor(rows, device=device)
 
 
 def material_labels(vehicles: VehicleBatch) -> UInt8[Tensor, "N 512 512"]:

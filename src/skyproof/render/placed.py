@@ -1,14 +1,17 @@
 """Vehicles put into their scenes: where they fall in the picture and on the ground, and labels."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
+from skyproof.errors import NotFiniteError
 from skyproof.geometry.projection import project, rotate_about_vertical
-from skyproof.geometry.rasterise import Visibility, rasterise
+from skyproof.geometry.rasterise import rasterise
+from skyproof.geometry.triangles import NOTHING_KEY
 from skyproof.render.frames import Frames
 from skyproof.scenes.scene import Scene
 from skyproof.vehicles.vehicle import VehicleBatch
@@ -28,10 +31,22 @@ class Windows:
 
 @torch.no_grad()
 def windows_around(screen: Float[Tensor, "N V 2"]) -> Windows:
-    """Windows that hold every vehicle's points with a pixel to spare."""
+    """Windows that hold every vehicle's points with a pixel to spare.
+
+    Raises:
+        NotFiniteError: a point is no number, or infinite.
+    """
     low = screen.amin(1).floor() - 1
     high = screen.amax(1).ceil() + 1
-    return Windows(low.long(), int((high - low).max()))
+    widest = float((high - low).max())
+    if not math.isfinite(widest):
+        broken = int((~screen.isfinite()).flatten(1).any(1).sum())
+        raise NotFiniteError(
+            f"Vehicles need vertices that are finite numbers, but {broken} of {len(screen)} have "
+            "others and cannot be drawn; lower the learning rate of their shape, or give other "
+            "vehicles."
+        )
+    return Windows(low.long(), int(widest))
 
 
 @dataclass(frozen=True)
@@ -84,41 +99,6 @@ def place(scenes: Sequence[Scene], vehicles: VehicleBatch) -> Placed:
     return Placed(*where, *shown, gsd_m=camera.gsd_m, size_px=camera.size_px)
 
 
-@torch.no_grad()
-def visible_samples(
-    placed: Placed, faces: Int[Tensor, "F 3"], supersampling: int
-) -> tuple[Visibility, Windows]:
-    """Returns the visible samples of each vehicle alone, and their windows, for `label`."""
-    window = windows_around(placed.screen)
-    samples = window.samples(placed.screen, supersampling)
-    return rasterise(samples, placed.depth, faces, window.size * supersampling), window
-
-
-@torch.no_grad()
-def label(
-    image: Float[Tensor, "B 3 H W"],
-    placed: Placed,
-    visibility: Visibility,
-    window: Windows,
-    supersampling: int,
-    *,
-    cover: Float[Tensor, "B 1 H W"] | None = None,
-    masks: bool,
-) -> Frames:
-    """Adds boxes, centres, visible parts and, if wanted, masks to images of any renderer."""
-    size_px = placed.size_px
-    seen = None if cover is None else cover[placed.scene, 0] < 0.5
-    visible_px, fraction, drawn = _visible(visibility, window, supersampling, size_px, seen, masks)
-    corners = (placed.screen.amin(1), placed.screen.amax(1))
-    boxes = torch.cat(corners, dim=1).clamp(0, size_px)
-    extent = torch.stack((placed.vertices.amin(1), placed.vertices.amax(1)))
-    centres, _ = project(extent.mean(0)[:, None], placed.viewer, placed.gsd_m, size_px)
-    like = placed.vertices
-    return Frames(
-        image, placed.scene, boxes, centres[:, 0], visible_px.to(like), fraction.to(like), drawn
-    )
-
-
 def nothing_placed(image: Float[Tensor, "B 3 H W"], *, masks: bool) -> Frames:
     """Images of scenes without any vehicle."""
     nothing = image.new_zeros(0)
@@ -127,36 +107,48 @@ def nothing_placed(image: Float[Tensor, "B 3 H W"], *, masks: bool) -> Frames:
     return Frames(image, scene, nothing.view(0, 4), nothing.view(0, 2), nothing, nothing, drawn)
 
 
-def _visible(
-    visibility: Visibility,
+@torch.no_grad()
+def coverage_of(
+    placed: Placed, faces: Int[Tensor, "F 3"], supersampling: int
+) -> tuple[Float[Tensor, "N S S"], Windows]:
+    """Returns the share of each pixel that each vehicle alone covers, for `label`."""
+    window = windows_around(placed.screen)
+    samples = window.samples(placed.screen, supersampling)
+    keys = rasterise(samples, placed.depth, faces, window.size * supersampling)
+    covered = (keys != NOTHING_KEY).float()
+    return torch.nn.functional.avg_pool2d(covered, supersampling), window
+
+
+@torch.no_grad()
+def label(
+    image: Float[Tensor, "B 3 H W"],
+    placed: Placed,
+    coverage: Float[Tensor, "N S S"],
     window: Windows,
-    factor: int,
-    size_px: int,
-    seen: Bool[Tensor, "N H W"] | None,
+    *,
+    cover: Float[Tensor, "B 1 H W"] | None = None,
     masks: bool,
-) -> tuple[Float[Tensor, " N"], Float[Tensor, " N"], Bool[Tensor, "N H W"] | None]:
-    """Visible pixels, their share of all, and masks, of samples inside the image and `seen`."""
-    count = len(visibility.keys)
-    vehicle = visibility.vehicle
-    every = torch.bincount(vehicle, minlength=count)
-    end = window.origin + window.size
-    if seen is None and not masks and bool((window.origin >= 0).all() & (end <= size_px).all()):
-        return every.double() / factor**2, every.clamp(max=1).double(), None
-    cell_x, cell_y = visibility.cells(factor)
-    # Samples that are visible, of all.
-    x = window.origin[:, 0].index_select(0, vehicle) + cell_x
-    y = window.origin[:, 1].index_select(0, vehicle) + cell_y
-    held = (x >= 0) & (x < size_px) & (y >= 0) & (y < size_px)
-    if seen is not None:
-        held &= seen[vehicle, y.clamp(0, size_px - 1), x.clamp(0, size_px - 1)]
-    visible = torch.bincount(vehicle[held], minlength=count).double()
+) -> Frames:
+    """Adds boxes, centres, visible parts and, if wanted, masks to images of any renderer."""
+    size_px = placed.size_px
+    steps = torch.arange(window.size, device=image.device)
+    x, y = window.origin[:, :1] + steps, window.origin[:, 1:] + steps
+    held = ((y >= 0) & (y < size_px))[:, :, None] & ((x >= 0) & (x < size_px))[:, None]
+    if cover is not None:
+        row, column = y.clamp(0, size_px - 1)[:, :, None], x.clamp(0, size_px - 1)[:, None]
+        held &= cover[placed.scene[:, None, None], 0, row, column] < 0.5
+    seen = coverage * held
     drawn = None
     if masks:
         # A pixel belongs to the mask where at least half of its samples see the vehicle.
-        cell = (vehicle * window.size + cell_y) * window.size + cell_x
-        samples = torch.bincount(cell[held], minlength=count * window.size**2)
-        samples = samples.view(count, window.size, window.size)
-        owner, row, column = torch.nonzero(samples * 2 >= factor**2, as_tuple=True)
-        drawn = torch.zeros(count, size_px, size_px, dtype=torch.bool, device=vehicle.device)
-        drawn[owner, window.origin[owner, 1] + row, window.origin[owner, 0] + column] = True
-    return visible / factor**2, visible / every.clamp(min=1).double(), drawn
+        owner, row, column = torch.nonzero(seen >= 0.5, as_tuple=True)
+        drawn = torch.zeros(len(x), size_px, size_px, dtype=torch.bool, device=image.device)
+        drawn[owner, y[owner, row], x[owner, column]] = True
+    visible_px, every_px = seen.sum((1, 2)).double(), coverage.sum((1, 2)).double()
+    fraction = visible_px / every_px.masked_fill(every_px == 0, 1.0)
+    boxes = torch.cat((placed.screen.amin(1), placed.screen.amax(1)), dim=1).clamp(0, size_px)
+    extent = torch.stack((placed.vertices.amin(1), placed.vertices.amax(1)))
+    centres, _ = project(extent.mean(0)[:, None], placed.viewer, placed.gsd_m, size_px)
+    like = placed.vertices
+    shown = (boxes, centres[:, 0], visible_px.to(like), fraction.to(like))
+    return Frames(image, placed.scene, *shown, drawn)

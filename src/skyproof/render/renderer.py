@@ -1,4 +1,4 @@
-"""The differentiable renderer: vehicles onto orthophotos, in plain PyTorch (section 3.1)."""
+"""The differentiable renderer: vehicles onto orthophotos, in kernels (section 3.1)."""
 
 import threading
 from collections.abc import Callable, Sequence
@@ -13,10 +13,10 @@ from skyproof.errors import StoredFileError
 from skyproof.render.composite import composite, covers
 from skyproof.render.frames import Frames
 from skyproof.render.layers import SeenBodies, WindowLayers, draw_bodies, draw_shadows, see_bodies
-from skyproof.render.lighting import Lighting, SceneLights, lighting, scene_lights
-from skyproof.render.placed import Placed, Windows, label, nothing_placed, place, windows_around
+from skyproof.render.lighting import SceneLights, lighting, scene_lights
+from skyproof.render.placed import label, nothing_placed, place, windows_around
 from skyproof.render.settings import RenderSettings
-from skyproof.render.shadows import contact_shadows, ground_shadows, see_from_sun, surrounded
+from skyproof.render.shadows import surrounded
 from skyproof.render.weather import finish_images, wet_grounds
 from skyproof.scenes.light import Light
 from skyproof.scenes.scene import BackgroundWindow, Scene
@@ -24,7 +24,6 @@ from skyproof.scenes.sensor import Sensor
 from skyproof.vehicles.vehicle import VehicleBatch
 
 _Value = TypeVar("_Value")
-_SAMPLE_BYTES, _FACE_BYTES = 76, 68
 
 
 @runtime_checkable
@@ -103,12 +102,10 @@ class GeometryBuffer:
     faces: Int[Tensor, "F 3"]
     texture_px: int
     ground: Float[Tensor, "B 3 H W"]
-    placed: Placed
-    window: Windows
     bodies: SeenBodies
     shadows: WindowLayers
     lights: SceneLights
-    lighting: Lighting
+    lighting: Float[Tensor, "N 20"]
     sensors: Sequence[Sensor]
     cover: Float[Tensor, "B 1 H W"] | None
     labels: dict[bool, Frames] = field(default_factory=dict)
@@ -116,13 +113,9 @@ class GeometryBuffer:
     @property
     def memory_bytes(self) -> int:
         """About how much memory it takes."""
-        count, _, height, width = self.ground.shape
-        pixels, vehicles = height * width, len(self.vertices)
-        samples = len(self.bodies.visibility.covered)
-        ground_and_cover = 4 * count * pixels * self.ground.element_size()
-        masks = vehicles * pixels
-        bodies = samples * _SAMPLE_BYTES + vehicles * len(self.faces) * _FACE_BYTES
-        bodies += self.bodies.visibility.keys.nbytes
+        masks = len(self.vertices) * self.ground[0, 0].numel()
+        ground_and_cover = 4 * self.ground.nbytes
+        bodies = self.bodies.memory_bytes + 4 * self.vertices.nbytes + self.shadows.values.nbytes
         return bodies + ground_and_cover + masks
 
     def serves(self, vehicles: VehicleBatch) -> bool:
@@ -219,11 +212,11 @@ class TorchRenderer:
             buffer = self._look(scenes, vehicles)
             if again:
                 self._buffers.keep(buffer)
-        bodies = draw_bodies(buffer.bodies, buffer.lighting, vehicles, self.settings)
-        placed = buffer.placed
+        seen, placed = buffer.bodies, buffer.bodies.placed
+        bodies = draw_bodies(seen, buffer.lighting, vehicles, self.settings)
         image = composite(
             buffer.ground.clone() if again else buffer.ground,
-            bodies=WindowLayers(buffer.window, bodies),
+            bodies=WindowLayers(seen.window, bodies),
             shadows=buffer.shadows,
             scene=placed.scene,
             nearness=(placed.ground * placed.viewer).sum(-1),
@@ -234,9 +227,9 @@ class TorchRenderer:
         )
         image = finish_images(image, scenes)
         if masks not in buffer.labels:
-            seen, factor = buffer.bodies.visibility, self.settings.supersampling
+            coverage = bodies[..., 3].detach()
             buffer.labels[masks] = label(
-                buffer.ground, placed, seen, buffer.window, factor, cover=buffer.cover, masks=masks
+                buffer.ground, placed, coverage, seen.window, cover=buffer.cover, masks=masks
             )
         return replace(buffer.labels[masks], image=image)
 
@@ -252,22 +245,17 @@ class TorchRenderer:
         lights = scene_lights(
             photographed_lights(self.backgrounds, scenes, settings), scenes, vehicles.vertices
         )
-        light = lighting(placed, lights)
-        sun = see_from_sun(cast, placed, faces, settings.shadow_supersampling)
-        shading = sun if settings.self_shadows else None
-        shadows = ground_shadows(draw_shadows(sun, faces), contact_shadows(cast, placed), light)
+        seen = see_bodies(placed, window, cast, vehicles, settings)
         return GeometryBuffer(
             scenes=tuple(scenes),
             vertices=vehicles.vertices.detach().clone(),
             faces=faces,
             texture_px=vehicles.texture.shape[-1],
             ground=self._ground(scenes, vehicles),
-            placed=placed,
-            window=window,
-            bodies=see_bodies(window, placed, vehicles, shading, settings),
-            shadows=WindowLayers(cast, shadows),
+            bodies=seen,
+            shadows=WindowLayers(cast, draw_shadows(seen, lights, settings)),
             lights=lights,
-            lighting=light,
+            lighting=lighting(placed, lights, settings),
             sensors=sensors(self.backgrounds, scenes, settings),
             cover=covers(self.backgrounds.cover_of, scenes, placed, faces),
         )

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 
-from skyproof.geometry.rasterise import barycentric, rasterise
+from skyproof.geometry.rasterise import rasterise, visible_faces
 
 # Azimuth and elevation in degrees: above, four sides, six slanting views, four from near the
 # ground, and below.
@@ -50,18 +50,22 @@ def parallel_view(
     screen = torch.from_numpy((corners[..., :2] - origin) / pixel)
     depth = torch.from_numpy(np.ascontiguousarray(corners[..., 2]))
     faces = torch.arange(3 * len(corners)).view(-1, 3)
-    seen = rasterise(
-        screen.view(1, -1, 2), depth.view(1, -1), faces, max(height, width), two_sided=True
-    )
+    places = (screen.view(1, -1, 2), depth.view(1, -1))
+    seen = visible_faces(rasterise(*places, faces, max(height, width), two_sided=True))
     # The window is square; what lies beyond the picture goes.
-    held = (seen.x < width) & (seen.y < height)
-    x, y, triangle = seen.x[held], seen.y[held], seen.face[held]
-    centre = torch.stack((x, y)).double() + 0.5
-    face = torch.full((height, width), -1)
+    face = seen[0, :height, :width]
+    y, x = torch.nonzero(face >= 0, as_tuple=True)
+    a, b, c = screen[face[y, x]].unbind(1)
+    to_b, to_c, to_centre = b - a, c - a, torch.stack((x, y), dim=1).double() + 0.5 - a
+    area = _cross(to_c, to_b)
+    second, third = _cross(to_c, to_centre) / area, _cross(to_centre, to_b) / area
     weights = torch.zeros(height, width, 3, dtype=torch.float64)
-    face[y, x] = triangle
-    weights[y, x] = barycentric(screen[triangle].permute(1, 2, 0), centre).t()
+    weights[y, x] = torch.stack((1 - second - third, second, third), dim=1)
     return SeenFaces(face.numpy(), weights.numpy())
+
+
+def _cross(first: Float[torch.Tensor, "K 2"], second: Float[torch.Tensor, "K 2"]) -> torch.Tensor:
+    return first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
 
 
 @dataclass(frozen=True)
