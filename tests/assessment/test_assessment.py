@@ -18,6 +18,8 @@ from skyproof.assessment.suite import SUITE as SUITE_FILE
 from skyproof.detectors.answers import BlackBoxDetector
 from skyproof.detectors.card import REFERENCE_DETECTORS, reference_folder
 from skyproof.files import file_digest
+from skyproof.results.rows_file import flat_row
+from tests.results.test_likeness import likeness
 
 RUN = Path("run")
 ASKED = {"accept": 0.2, "reject": 0.3}
@@ -113,6 +115,12 @@ def test_a_run_stops_where_no_verdict_is_possible_any_more(tmp_path):
     names = ids(subject(place, **ASKED))
     assert names.index("size/open") == names.index("check/detectors") + 1
     assert "size/open" not in ids(subject(place))
+    shutil.rmtree(tmp_path / "run/scores")
+    record["likeness"] = [flat_row(likeness(0.4, 0.8))]
+    with pytest.raises(RunEnded, match="does not see rendered vehicles like photographed ones"):
+        stop(0.02)
+    (ruled,) = json.loads((tmp_path / "run/verdict.json").read_text())["detectors"]
+    assert ruled["answer"] == "not valid for this imagery"
     titles = {step.id: step.title for step in assess_steps(subject(place, **ASKED))}
     assert titles["size/size"] == "count the test tiles"
     assert titles["size/open"] == "judge the prechecks"

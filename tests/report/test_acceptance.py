@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,7 @@ from skyproof.report.queries import QueryPart
 from skyproof.report.report import write_report
 from skyproof.results.outcomes import OutcomeCounts, read_counts
 from skyproof.results.results import Results
+from skyproof.results.rows_file import write_rows
 from skyproof.results.statistics.acceptance import Requirement
 from skyproof.results.statistics.intervals import Interval
 from skyproof.results.statistics.planning import tiles_to_show
@@ -32,6 +34,7 @@ from tests.report.test_precheck import checked
 from tests.report.test_queries import missed
 from tests.report.test_report import words_of
 from tests.results.counted import write_counts
+from tests.results.test_likeness import LOOK, likeness
 from tests.results.test_worst import scored
 
 LENIENT = Requirement(0.97, 0.995)
@@ -223,6 +226,75 @@ def test_prechecks_alone_give_a_report_that_rejects_or_says_why_not(run_folder):
     recheck(run_folder, {})
     with pytest.raises(ConfigurationError, match="found none for faster_rcnn; attack"):
         write_report(run_folder, STRICT)
+
+
+def compare(folder, *rows):
+    """Gives a run's scores a comparison of rendered and photographed vehicles."""
+    write_rows(folder / "scores" / "main" / "likeness.json", rows)
+
+
+def test_no_one_is_judged_by_renders_that_are_not_valid(run_folder):
+    """Neither attacks nor plain paints reject, and nothing accepts."""
+    bright = replace(LOOK, bright_level=243.0)
+    worse = likeness(0.3, 0.8, renders=bright)
+    compare(run_folder, worse, replace(worse, match="centre_in_box"))
+    page, verdict = asked(run_folder, STRICT)
+    first, second = verdict["detectors"]
+    assert (first["answer"], second["answer"]) == ("not valid for this imagery", "rejected")
+    assert (first["attacks"], first["more_vehicles"], first["paint"]) == ({}, None, None)
+    assert [row["match"] for row in first["likeness"]] == ["centre_1m", "centre_in_box"]
+    assert first["likeness"][0]["recall_difference"] == 0.3
+    assert "likeness" not in second
+    assert "RetinaNet: NOT VALID FOR THIS IMAGERY, because the detector does not see" in page
+    assert "(98th percentile of luminance 243 against 188)" in page
+    assert "Quote no rate of RetinaNet for this imagery" in page
+    # A rejection is told first.
+    assert page.index("Faster R-CNN: REJECTED") < page.index("NOT VALID")
+    recheck(run_folder, {YELLOW: MOST}, tiles=20)
+    change_tiles(run_folder, keep)
+    compare(run_folder, worse, replace(worse, detector="faster_rcnn"))
+    page, verdict = asked(run_folder, STRICT)
+    assert [each["answer"] for each in verdict["detectors"]] == ["not valid for this imagery"] * 2
+    assert ": NOT VALID FOR THIS IMAGERY " in page[: page.index("State of the detectors")]
+    assert "Operating characteristic" not in page
+
+
+@pytest.mark.parametrize(
+    ("row", "title"),
+    [
+        (likeness(), "Renders valid. RetinaNet scores rendered vehicles like photographed"),
+        (likeness(0.18), "Renders in doubt. RetinaNet may not score rendered vehicles like"),
+        (likeness(0.4, tiles=3), "Renders not comparable. It cannot be said whether RetinaNet"),
+    ],
+)
+def test_valid_renders_and_those_that_nobody_can_compare_leave_the_verdict(run_folder, row, title):
+    _, before = asked(run_folder, STRICT)
+    compare(run_folder, row)
+    page, verdict = asked(run_folder, STRICT)
+    assert verdict["detectors"][0].pop("likeness")
+    assert verdict == before
+    assert title in page[: page.index("What was tested")]
+
+
+def test_without_labelled_photographs_of_the_ground_it_cannot_be_said(run_folder):
+    page, _ = asked(run_folder, STRICT)
+    assert "It cannot be said whether the detectors see rendered vehicles like photographed" in page
+    assert "Renders valid" not in page
+
+
+def test_all_scenes_tell_more_than_those_of_the_precheck(run_folder):
+    """And a precheck on other scenes tells nothing."""
+    window, camera = BackgroundWindow("tile", 96.0, 96.0, 0.0), Camera(0.1, 0.2, 0.125, 96)
+    scene = Scene("test-0", window, camera, Sun(0.3, 0.8), (), 0)
+    Layout(run_folder).scenes("test").parent.mkdir(exist_ok=True)
+    write_scenes(Layout(run_folder).scenes("test"), [scene])
+    for digest, said in (("elsewhere", "rejected"), (scenes_digest([scene]), "not valid for this")):
+        recheck(run_folder, {}, tiles=20, scenes=(1, digest), likeness=[likeness(0.3)])
+        _, verdict = asked(run_folder, STRICT)
+        assert verdict["detectors"][0]["answer"].startswith(said)
+    compare(run_folder, likeness())
+    _, verdict = asked(run_folder, STRICT)
+    assert verdict["detectors"][0]["answer"] == "rejected"
 
 
 def suite(folder, *scored):

@@ -90,6 +90,7 @@ def checked(
     tiles=0,
     rendered=0.99,
     found_instead=0.0,
+    likeness=(),
 ):
     """Gives a detector of a run a record: what each paint of `hidden` hides, all others nothing.
 
@@ -110,7 +111,8 @@ def checked(
     sets[0] = replace(sets[0], ap_centre_1m=sure, detector=detector)
     sets[1] = replace(sets[1], detector=detector)
     on = MeasuredOn(*scenes, ("procedural",), 5, 0)
-    record = PrecheckRecord(detector, "", threshold, on, sets, rates, (5,) * tiles)
+    compared = [replace(row, detector=detector) for row in likeness]
+    record = PrecheckRecord(detector, "", threshold, on, sets, rates, (5,) * tiles, compared)
     place = folder / "detectors" / detector
     card = json.loads((place / "detector.json").read_text())
     write_json(place / "detector.json", {**card, "threshold": THRESHOLD, "weights_sha256": ""})

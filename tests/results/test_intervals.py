@@ -14,6 +14,7 @@ from skyproof.results.statistics.intervals import (
     effective_limits,
     overall_attack_success_rate,
     resample,
+    superiority_interval,
 )
 from tests.results.simulated import WORLDS, coverage
 
@@ -141,3 +142,43 @@ def test_two_thousand_replicates_take_well_under_a_second(rng):
     start = time.process_time()
     cluster_interval(counts, easr, resample(300, generator=rng))
     assert time.process_time() - start < 1
+
+
+def superiority(first, second, of_first, of_second, seed=0):
+    weights = resample(int(max(of_first)) + 1, generator=np.random.default_rng(seed))
+    arrays = (np.asarray(each) for each in (first, second, of_first, of_second))
+    return superiority_interval(*arrays, weights)
+
+
+def test_the_chance_of_a_larger_value_is_that_of_mann_and_whitney():
+    rng = np.random.default_rng(3)
+    first, second = rng.integers(0, 9, 40).astype(float), rng.integers(2, 12, 60).astype(float)
+    found = superiority(first, second, np.arange(40) % 8, np.arange(60) % 8)
+    expected = stats.mannwhitneyu(first, second).statistic / (40 * 60)
+    assert found.estimate == pytest.approx(expected, abs=1e-12)
+    assert found.low < expected < found.high
+    other = superiority(second, first, np.arange(60) % 8, np.arange(40) % 8)
+    assert other.estimate == pytest.approx(1 - expected, abs=1e-12)
+
+
+def test_values_that_are_all_larger_leave_the_exact_binomial_limit_of_the_tiles():
+    found = superiority([3.0] * 10, [1.0] * 10, [*range(5)] * 2, [*range(5)] * 2)
+    assert (found.estimate, found.high) == (1.0, 1.0)
+    assert found.low == pytest.approx(0.025 ** (1 / 5))
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_the_interval_of_the_chance_holds_it_where_tiles_differ():
+    """Normal values of which a fifth of the variance is the tile's own, of each kind."""
+    rng = np.random.default_rng(5)
+    truth = stats.norm.cdf(0.8 / math.sqrt(2))
+    held = 0
+    for run in range(200):
+        tiles = [np.repeat(np.arange(12), rng.integers(1, 9, 12)) for _ in range(2)]
+        values = [
+            mean + rng.normal(0, 0.2**0.5, 12)[tile] + rng.normal(0, 0.8**0.5, len(tile))
+            for mean, tile in zip((0.8, 0.0), tiles, strict=True)
+        ]
+        found = superiority(*values, *tiles, seed=run)
+        held += found.low <= truth <= found.high
+    assert held >= 184

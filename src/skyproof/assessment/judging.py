@@ -22,7 +22,7 @@ from skyproof.console import say
 from skyproof.cycles.settings import Rendering
 from skyproof.errors import ImageryError
 from skyproof.files import write_json
-from skyproof.results.precheck import findings, read_precheck, worst
+from skyproof.results.precheck import PrecheckRecord, findings, read_precheck, worst
 from skyproof.results.statistics.acceptance import Requirement, fewest_tiles
 from skyproof.results.statistics.planning import tiles_to_show
 from skyproof.scenes.scene import read_scenes
@@ -89,7 +89,7 @@ def precheck(its: Subject) -> Step:
 
 
 def still_open(its: Subject, requirement: Requirement) -> Step:
-    """Ends a run with a report if every detector failed its precheck, so none can be accepted.
+    """Ends a run with a report if its prechecks say that no detector can be accepted.
 
     Not if the attacks were scored already.
     """
@@ -97,26 +97,29 @@ def still_open(its: Subject, requirement: Requirement) -> Step:
     checks = tuple(map(layout.precheck, its.names))
 
     def work() -> None:
-        checked = {
-            name: worst(findings(read_precheck(layout.detector(name)))) for name in its.names
-        }
-        failed = [
-            f"{detector_name(name)}: {found.words}"
-            for name, found in checked.items()
-            if found.outcome == "failed"
-        ]
+        checked = {name: read_precheck(layout.detector(name)) for name in its.names}
+        failed = [why for each in checked.items() if (why := _hopeless(*each))]
         scored = any(layout.scores.glob("[!.]*/score.json"))
         if len(failed) == len(checked) and not its.request.go_on and not scored:
             _write_report(its, requirement)
             raise RunEnded(
-                "The run ends before the attacks, because a detector that failed its precheck "
-                "cannot be accepted. Mend the detector, or give the same command with --go-on to "
-                "measure the attacks."
+                "The run ends before the attacks, because a detector that failed its precheck, or "
+                "does not see rendered vehicles like photographed ones, cannot be accepted. Mend "
+                "the detector, or give the same command with --go-on to measure the attacks."
             )
         write_json(out, {"failed": failed})
 
     words = "judge the prechecks"
     return Step("size", "open", (out,), work, its.request.go_on, checks, renewed=True, words=words)
+
+
+def _hopeless(name: str, record: PrecheckRecord) -> str:
+    """Says why a precheck leaves no chance of acceptance; empty where it does."""
+    unlike = record.likeness_by_main_rule
+    if unlike is not None and unlike.state == "not alike":
+        return unlike.sentence
+    found = worst(findings(record))
+    return f"{detector_name(name)}: {found.words}" if found.outcome == "failed" else ""
 
 
 def score(

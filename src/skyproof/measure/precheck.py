@@ -21,10 +21,12 @@ from skyproof.camouflage.palette import ground_palette
 from skyproof.detectors.detector import Detector
 from skyproof.errors import ConfigurationError
 from skyproof.measure.baseline import BaselineSet, measure_baselines
+from skyproof.measure.likeness import compare_kinds
 from skyproof.measure.measure import compare
-from skyproof.measure.views import SceneChange, SceneRenderer, SceneView, counter, views
+from skyproof.measure.views import SceneChange, SceneRenderer, SceneView, counter, look, views
 from skyproof.randomness import generator_of
 from skyproof.render.renderer import TorchRenderer
+from skyproof.results.likeness import Likeness
 from skyproof.results.outcomes import count_cells
 from skyproof.results.precheck import (
     LARGEST_EASR,
@@ -127,8 +129,11 @@ def precheck(
         places=[scene.background.tile for scene in scenes],
     )
     baselines = measure_baselines(detectors, rendered, before, seed=seed)
+    likeness: list[Likeness] = []
     for each in data.frames:
-        baselines += measure_baselines(detectors, each, seed=seed)
+        photographed = look(detectors, each.name, each.images, other_classes=True)
+        baselines += measure_baselines(detectors, each, photographed, seed=seed)
+        likeness += compare_kinds(detectors, each, photographed, scenes, before, seed=seed)
     rates = _rates(detectors, scenes, changes, before, seen, seed)
     return [
         PrecheckRecord(
@@ -138,6 +143,7 @@ def precheck(
             data.measured_on,
             [baseline for baseline in baselines if baseline.detector == each.name],
             *rates[each.name],
+            likeness=[row for row in likeness if row.detector == each.name],
         )
         for each in detectors
     ]
@@ -228,9 +234,14 @@ def precheck_lines(record: PrecheckRecord, doubts: Sequence[str] = ()) -> list[s
         told += _told(check.dataset, finding, _set(check))
     for finding in found[len(record.sets) :]:
         told += _told(finding.criterion, finding, _changes(finding))
+    alike = record.likeness_by_main_rule
     return told + [
         line
-        for sentence in (*doubts, *misfit_thresholds(record.sets))
+        for sentence in (
+            *([alike.sentence] if alike else []),
+            *doubts,
+            *misfit_thresholds(record.sets),
+        )
         for line in wrap(f"  {sentence}", _WIDTH, subsequent_indent="  ")
     ]
 

@@ -21,20 +21,24 @@ from skyproof.detectors.validation import average_precision
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import finished_folder, inside, write_beside, write_bytes, write_json
 from skyproof.measure.baseline import BaselineSet, measure_baselines
+from skyproof.measure.likeness import compare_kinds
 from skyproof.measure.measure import compare
 from skyproof.measure.views import (
     SceneChange,
     SceneRenderer,
     SceneView,
     counter,
+    look,
     refuse_twice,
     views,
 )
 from skyproof.render.portrait import portrait
+from skyproof.results.likeness import Likeness
 from skyproof.results.outcomes import MATCHES, Outcome, write_outcomes
 from skyproof.results.result import LENIENT_MATCH, MAIN_MATCH
 from skyproof.results.rows_file import write_rows
 from skyproof.results.score_folder import (
+    LIKENESS,
     Baseline,
     Pair,
     ScoreRecord,
@@ -82,6 +86,7 @@ def score(
     count = counter(progress, images + sum(len(each.images) for each in baselines))
     rows: list[Baseline] = []
     outcomes: list[Outcome] = []
+    before: SceneView | None = None
     if stage is not None and unchanged is not None:
         _refuse_other_rendering(unchanged, scenes, stage)
     with finished_folder(Path(folder)) as partial:
@@ -99,14 +104,21 @@ def score(
                 other_classes=True,
                 progress=count,
             )
-            writer = _Writer(partial, detectors, scenes, stage.renderer.name, next(shown))
+            before = next(shown)
+            writer = _Writer(partial, detectors, scenes, stage.renderer.name, before)
             rows = writer.baselines(seed)
             for after in shown:
                 writer.add(after)
             outcomes = writer.write()
+        likeness: list[Likeness] = []
         for each in baselines:
-            rows += measure_baselines(detectors, each, seed=seed)
+            view = look(detectors, each.name, each.images, other_classes=True)
+            rows += measure_baselines(detectors, each, view, seed=seed)
+            if before is not None:
+                likeness += compare_kinds(detectors, each, view, scenes, before, seed=seed)
             count(len(each.images))
+        if likeness:
+            write_rows(partial / LIKENESS, likeness)
         thresholds = {each.name: each.threshold for each in detectors}
         rows.sort(key=lambda row: [*thresholds].index(row.detector))
         write_rows(partial / "baselines.json", rows)

@@ -18,6 +18,7 @@ from skyproof.errors import ConfigurationError
 from skyproof.files import file_digest, write_json
 from skyproof.layout import Layout
 from skyproof.report.figures import chances_figure
+from skyproof.results.likeness import Likeness
 from skyproof.results.outcomes import OutcomeCounts
 from skyproof.results.precheck import findings, worst
 from skyproof.results.result import MAIN_MATCH
@@ -44,9 +45,16 @@ _BASELINE = (
 )
 
 
+Answer = Literal[
+    "accepted", "rejected", "undecided", "not applicable", "not valid for this imagery"
+]
+
+
 @dataclass(frozen=True)
 class Ruling:
     """The verdict on one detector, not applicable where the test cannot tell.
+
+    Neither is it valid where the detector does not see rendered vehicles like photographed ones.
 
     The evidence stands by camouflage and renderer, the strongest attack first. More vehicles, on
     tiles like these, would decide; 0 if decided, None if no number would or there is no verdict.
@@ -54,7 +62,7 @@ class Ruling:
     """
 
     detector: str
-    answer: Literal["accepted", "rejected", "undecided", "not applicable"]
+    answer: Answer
     sentences: Sequence[str]
     more_vehicles: int | None
     attacks: dict[str, Evidence]
@@ -91,7 +99,8 @@ def rule(results: Results, requirement: Requirement, alarms: Sequence[str]) -> A
     Attacks are all camouflages on all renderers, query attacks and chosen controls, each repeat by
     itself; single random draws and copies of unfinished camouflages are none. A detector that
     failed its precheck is not accepted, but attacks or a plain paint of the precheck may reject it,
-    unless it has no precheck or failed on unchanged renders, so that the test cannot tell. With
+    unless it has no precheck or failed on unchanged renders, so that the test cannot tell. Nothing
+    accepts or rejects a detector that does not see renders like photographs of this ground. With
     alarms of gradient masking, or if a part of the suite was not scored, no detector is accepted,
     because other attacks could hide more.
     """
@@ -114,6 +123,9 @@ def _ruled(name: str, results: Results, requirement: Requirement) -> Ruling:
     found = [] if precheck is None else findings(precheck)
     failed = [each for each in found if each.outcome == "failed"]
     attacks = _attacks(results.counts, name)
+    likeness = results.likeness_of(name)
+    if likeness is not None and likeness.state == "not alike":
+        return _not_valid(likeness)
     if not attacks and found and not failed:
         raise ConfigurationError(
             "A verdict expects optimised camouflages or chosen controls among the scores, "
@@ -143,6 +155,17 @@ def _no_verdict(name: str, why: str) -> Ruling:
         "camouflage cannot be accepted for its robustness to camouflage."
     )
     return Ruling(name, "not applicable", [sentence], None, {})
+
+
+def _not_valid(likeness: Likeness) -> Ruling:
+    name = detector_name(likeness.detector)
+    sentences = [
+        f"{name}: NOT VALID FOR THIS IMAGERY, because the detector does not see rendered vehicles "
+        "like photographed ones. What camouflages and paints on rendered vehicles hide from it "
+        "says nothing about vehicles on this ground.",
+        likeness.sentence,
+    ]
+    return Ruling(likeness.detector, "not valid for this imagery", sentences, None, {})
 
 
 def scored_suite(results: Results) -> tuple[dict[str, Any] | Literal["incomplete"] | None, str]:
@@ -192,6 +215,7 @@ def write_verdict(results: Results, acceptance: Acceptance, alarms: Sequence[str
                     for row in map(flat_row, results.baselines)
                     if row["detector"] == ruling.detector
                 ],
+                **_likeness(results, ruling.detector),
                 "weights_sha256": digests.get(ruling.detector, ""),
                 "attacks": {name: asdict(said) for name, said in ruling.attacks.items()},
                 "paint": None
@@ -214,6 +238,12 @@ def write_verdict(results: Results, acceptance: Acceptance, alarms: Sequence[str
         },
     }
     write_json(layout.verdict, document)
+
+
+def _likeness(results: Results, detector: str) -> dict[str, Any]:
+    """The comparison with photographed vehicles, by each rule; empty where it was not measured."""
+    rows = [flat_row(row) for row in results.likeness if row.detector == detector]
+    return {"likeness": rows} if rows else {}
 
 
 def _attacks(tiles: OutcomeCounts, detector: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:

@@ -11,6 +11,7 @@ from msgspec import Meta, Struct
 from skyproof.documents import read_document
 from skyproof.layout import CLEARING_RECORD, Layout
 from skyproof.ranges import Fraction
+from skyproof.results.likeness import Likeness
 from skyproof.results.precheck import (
     Finding,
     FindingOutcome,
@@ -169,6 +170,7 @@ class PrecheckState:
     name: str  # in words
     outcome: FindingOutcome | None  # None without a precheck
     words: str  # the worst finding, in a sentence
+    likeness: Likeness | None  # None where it was not measured
     baselines: Sequence[str]  # AP and recall by both rules, in sentences
 
     @property
@@ -177,6 +179,11 @@ class PrecheckState:
         if self.outcome is None:
             return "no precheck"
         return f"precheck {self.outcome.upper() if self.outcome == 'failed' else self.outcome}"
+
+    @property
+    def unlike(self) -> bool:
+        """Whether rendered vehicles are surely not seen like photographed ones."""
+        return self.likeness is not None and self.likeness.state == "not alike"
 
 
 @dataclass(frozen=True)
@@ -197,7 +204,8 @@ class PrecheckPart:
     def sentences(self) -> list[str]:
         """States and notes as running text."""
         states = [f"{each.name}: {each.title}. {each.words}".strip() for each in self.states]
-        return [*states, *self.notes]
+        compared = [each.likeness.sentence for each in self.states if each.likeness is not None]
+        return [*states, *compared, *self.notes]
 
 
 def precheck_part(results: Results) -> PrecheckPart:
@@ -205,7 +213,8 @@ def precheck_part(results: Results) -> PrecheckPart:
     records = results.prechecks
     found = {name: findings(records[name]) for name in results.detectors if name in records}
     states = [
-        _state(name, found.get(name), _by_both_rules(results, name)) for name in results.detectors
+        _state(name, found.get(name), results.likeness_of(name), _by_both_rules(results, name))
+        for name in results.detectors
     ]
     notes = _elsewhere({name: records[name] for name in found}, results)
     for name in results.detectors:
@@ -229,12 +238,17 @@ def precheck_part(results: Results) -> PrecheckPart:
     return PrecheckPart(states, notes, list(found), rows, strips)
 
 
-def _state(name: str, found: Sequence[Finding] | None, baselines: Sequence[str]) -> PrecheckState:
+def _state(
+    name: str,
+    found: Sequence[Finding] | None,
+    likeness: Likeness | None,
+    baselines: Sequence[str],
+) -> PrecheckState:
     if found is None:
-        return PrecheckState(detector_name(name), None, "", baselines)
+        return PrecheckState(detector_name(name), None, "", likeness, baselines)
     last = worst(found)
     words = f"{last.words[0].upper()}{last.words[1:]}."
-    return PrecheckState(detector_name(name), last.outcome, words, baselines)
+    return PrecheckState(detector_name(name), last.outcome, words, likeness, baselines)
 
 
 def _by_both_rules(results: Results, detector: str) -> list[str]:

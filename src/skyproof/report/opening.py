@@ -6,21 +6,24 @@ from dataclasses import dataclass
 from typing import Literal
 
 from skyproof.camouflage.name import CamouflageName
-from skyproof.report.acceptance import Acceptance, Ruling
+from skyproof.report.acceptance import Acceptance, Answer, Ruling
 from skyproof.report.baseline import BaselineRow, PrecheckPart
 from skyproof.results.result import MEAN, Result
 from skyproof.results.statistics.intervals import Interval
 from skyproof.words import detector_name, hides, interval, listed, percent
 
 _MOST_STEPS = 3
-_SEVERITY = ("accepted", "undecided", "not applicable", "rejected")
+_SEVERITY: tuple[Answer, ...] = (
+    *("accepted", "undecided", "not applicable", "not valid for this imagery"),
+    "rejected",
+)
 
 
 @dataclass(frozen=True)
 class Opening:
     """The answer as one figure with its interval and meaning, and next steps; or empty parts."""
 
-    tone: Literal["neutral", "accepted", "rejected", "undecided", "not applicable"]
+    tone: Literal["neutral"] | Answer
     label: str
     figure: str
     interval: str
@@ -79,6 +82,9 @@ def _ruled(ruling: Ruling, steps: Sequence[str]) -> Opening:
             f"of the vehicles found without camouflage are missed in the plain paint {paint}.",
             steps,
         )
+    if ruling.answer == "not valid for this imagery":
+        label = f"{name}: {ruling.answer.upper()}"
+        return Opening(ruling.answer, label, "", "", ruling.sentences[1], steps)
     if not ruling.attacks:
         return Opening(ruling.answer, f"No verdict on {name}", "", "", ruling.sentences[0], steps)
     attack, worst = next(iter(ruling.attacks.items()))
@@ -129,6 +135,13 @@ def _next_steps(
         steps.append(
             f"Improve {listed(failed)} first: a detector that fails the precheck loses vehicles to "
             "ordinary changes, so its attack figures say little."
+        )
+    unlike = [state.name for state in precheck.states if state.unlike]
+    if unlike:
+        steps.append(
+            f"Quote no rate of {listed(unlike)} for this imagery, because rendered vehicles look "
+            "otherwise to it than photographed ones. Check resolution and labels (--gsd, "
+            "--label-classes) first, then train it with renders beside photographs."
         )
     if unchecked:
         steps.append(

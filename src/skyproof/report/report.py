@@ -30,6 +30,7 @@ from skyproof.report.figures import (
 from skyproof.report.opening import opening, strongest_of
 from skyproof.report.queries import query_part
 from skyproof.results.conditions import Panel, condition_panels
+from skyproof.results.likeness import LARGEST_DIFFERENCE, LEAST_OVERLAP
 from skyproof.results.precheck import rate_outcome, rate_words
 from skyproof.results.result import Result
 from skyproof.results.results import Results
@@ -158,6 +159,7 @@ def _write(
             precheck=precheck,
             real=real_data(results),
             baselines=baselines,
+            bounds=(LARGEST_DIFFERENCE, LEAST_OVERLAP),
             opening=opening(every, acceptance, precheck, baselines, hardened=hardened is not None),
             example=next(iter(contents.pairs(strongest, 1)), None) if strongest else None,
             more=more,

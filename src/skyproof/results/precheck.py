@@ -21,6 +21,8 @@ from skyproof.documents import read_document
 from skyproof.errors import StoredFileError
 from skyproof.files import new_file, write_json
 from skyproof.ranges import Count, Fraction, Name, Seed, WholeNumber
+from skyproof.results.likeness import Likeness
+from skyproof.results.result import MAIN_MATCH
 from skyproof.results.rows_file import flat_row, row_form, row_of
 from skyproof.results.score_folder import Baseline
 from skyproof.results.statistics.intervals import Interval
@@ -126,7 +128,8 @@ class MeasuredOn:
 class PrecheckRecord:
     """The precheck of one detector; `sets` are the unchanged scenes, then each annotated set.
 
-    `found_by_tile` are the vehicles found on each tile of the scenes without a change.
+    `found_by_tile` are the vehicles found on each tile of the scenes without a change. `likeness`
+    compares rendered and photographed vehicles, where the annotated sets show the same ground.
     """
 
     detector: str
@@ -136,6 +139,7 @@ class PrecheckRecord:
     sets: Sequence[Baseline]
     rates: Sequence[Rate]
     found_by_tile: Sequence[int] = ()
+    likeness: Sequence[Likeness] = ()
 
     def of_kind(self, kind: Kind) -> list[Rate]:
         """The rates of one kind of change."""
@@ -158,6 +162,11 @@ class PrecheckRecord:
             if rate.kind in PAINTED and rate.lost_by_tile and rate_outcome(rate) == "failed"
         }
 
+    @property
+    def likeness_by_main_rule(self) -> Likeness | None:
+        """The comparison that decides; None where it was not measured."""
+        return next((row for row in self.likeness if row.match == MAIN_MATCH), None)
+
     def was_made_on(self, scenes: Sequence[Scene]) -> bool:
         """Whether these scenes begin with those of the precheck."""
         of_these = scenes_digest(scenes[: self.measured_on.scenes])
@@ -171,9 +180,14 @@ def write_precheck(folder: Path, record: PrecheckRecord) -> None:
         "measured_on": asdict(record.measured_on),
         "sets": [flat_row(baseline) for baseline in record.sets],
         "rates": [flat_row(rate) for rate in record.rates],
+        "likeness": [flat_row(row) for row in record.likeness],
     }
+    document = {"format": _FORMAT, **vars(record), **rows}
+    if not record.likeness:
+        # Records of drawn ground stay as they were.
+        del document["likeness"]
     with new_file(path):
-        write_json(path, {"format": _FORMAT, **vars(record), **rows})
+        write_json(path, document)
 
 
 def read_precheck(folder: Path) -> PrecheckRecord:
@@ -201,6 +215,7 @@ def read_precheck(folder: Path) -> PrecheckRecord:
         sets=[row_of(Baseline, row) for row in stored.sets],
         rates=[row_of(Rate, row) for row in stored.rates],
         found_by_tile=stored.found_by_tile,
+        likeness=[row_of(Likeness, row) for row in stored.likeness],
     )
 
 
@@ -217,6 +232,7 @@ def read_prechecks(detectors: Path) -> dict[str, PrecheckRecord]:
 
 _BaselineRow: Any = row_form(Baseline)
 _RateRow: Any = row_form(Rate)
+_LikenessRow: Any = row_form(Likeness)
 
 
 class _PrecheckDocument(Struct, frozen=True):
@@ -229,6 +245,7 @@ class _PrecheckDocument(Struct, frozen=True):
     sets: Annotated[list[_BaselineRow], Meta(min_length=1, max_length=1000)]
     rates: Annotated[list[_RateRow], Meta(max_length=10_000)]
     found_by_tile: _Counts = ()
+    likeness: Annotated[list[_LikenessRow], Meta(max_length=1000)] = []
 
 
 @dataclass(frozen=True)

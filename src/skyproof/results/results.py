@@ -14,6 +14,7 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.detectors.card import DetectorCard
 from skyproof.files import inside, write_json
 from skyproof.layout import Layout
+from skyproof.results.likeness import Likeness
 from skyproof.results.outcomes import Outcome, OutcomeCounts, Series, read_outcomes
 from skyproof.results.precheck import PrecheckRecord, read_prechecks
 from skyproof.results.result import LENIENT_MATCH, MAIN_MATCH, MEAN, Result, summarise
@@ -157,6 +158,29 @@ class Results:
         """Scenes of the test; empty if their file is missing."""
         place = Layout(self.folder).scenes("test")
         return read_scenes(place) if place.exists() else []
+
+    @cached_property
+    def likeness(self) -> list[Likeness]:
+        """Photographed and rendered vehicles compared, once per detector and rule.
+
+        Scores show all test scenes, prechecks some of them.
+        """
+        scenes = self.test_scenes
+        scored = [each for each in self.scores if each.record.renderer == RENDERER]
+        checked = [
+            each for each in self.prechecks.values() if not scenes or each.was_made_on(scenes)
+        ]
+        every = [
+            *(row for score in scored for row in score.likeness()),
+            *(row for record in checked for row in record.likeness),
+        ]
+        first = {(row.detector, row.match): row for row in reversed(every)}
+        return [row for row in every if first[row.detector, row.match] is row]
+
+    def likeness_of(self, detector: str) -> Likeness | None:
+        """Gives the comparison by the main rule, which decides; None where it was not measured."""
+        own = (row for row in self.likeness if row.detector == detector)
+        return next((row for row in own if row.match == MAIN_MATCH), None)
 
     @cached_property
     def sample(self) -> Sample:

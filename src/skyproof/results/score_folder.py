@@ -1,7 +1,8 @@
 """A score folder: all measurements of one call, and everything that a report needs of them.
 
-It holds `score.json`, `outcomes.parquet`, `sets.json`, `baselines.json`, `detections/`, `pairs/`
-(pictures of some scenes), `patterns/` (pictures of some camouflages) and `practicality.json`.
+It holds `score.json`, `outcomes.parquet`, `sets.json`, `baselines.json`, `likeness.json`,
+`detections/`, `pairs/` (pictures of some scenes), `patterns/` (pictures of some camouflages) and
+`practicality.json`.
 `score.json` and `baselines.json` are always there.
 """
 
@@ -20,12 +21,14 @@ from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import write_json
 from skyproof.layout import Layout
 from skyproof.ranges import FileReference, Fraction, Name, Seed, WholeNumber
+from skyproof.results.likeness import Likeness
 from skyproof.results.outcomes import ORIGINAL, OutcomeCounts, Series, read_counts
 from skyproof.results.rows_file import read_rows
 from skyproof.results.statistics.intervals import Interval
 from skyproof.results.stored import Label, Practicality, Text
 from skyproof.words import percent
 
+LIKENESS = "likeness.json"
 _REMEDY = "copy the whole folder again, or score again"
 # The largest loss of F1 with which a frozen threshold carries over.
 _FAR = 0.03
@@ -195,6 +198,11 @@ class ScoreFolder:
     def baselines(self) -> list[Baseline]:
         """Gives the baseline of each detector and dataset."""
         return read_rows(self.path / "baselines.json", Baseline, _REMEDY)
+
+    def likeness(self) -> list[Likeness]:
+        """Gives how photographed and rendered vehicles compare; empty where not measured."""
+        path = self.path / LIKENESS
+        return read_rows(path, Likeness, _REMEDY) if path.exists() else []
 
     def sets(self) -> list[SetScore]:
         """Gives average precision and false alarms of each set."""

@@ -1,0 +1,199 @@
+"""Whether a detector sees rendered vehicles like photographed ones, on the same ground. No torch.
+
+A verdict on renders is worth what the renders are worth to the detector under test.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from msgspec import Meta
+
+from skyproof.ranges import Fraction, Match, Metres, Name, WholeNumber
+from skyproof.results.statistics.intervals import Interval
+from skyproof.words import detector_name, interval, listed, percent
+
+LARGEST_DIFFERENCE = 0.15
+"""Largest difference of the two recalls, either way, with which renders are valid."""
+
+LEAST_OVERLAP = 0.3
+"""Smallest chance that a vehicle of either kind has the larger score, with valid renders."""
+
+FEWEST_VEHICLES = 20
+FEWEST_TILES = 5
+"""With fewer of either kind, nothing can be said."""
+
+_Share = Annotated[Interval, Meta(ge=0, le=1)]
+_Score = Annotated[float, Meta(ge=-1e6, le=1e6)]
+_Level = Annotated[float, Meta(ge=0, le=255)]
+
+
+@dataclass(frozen=True)
+class Look:
+    """Medians over the boxes of vehicles, in levels of 8 bits, CIELAB and metres.
+
+    `white_share` is the mean share of pixels in which every channel is at its brightest value, and
+    the length is the longer side of a box.
+    """
+
+    dark_level: _Level  # 2nd percentile of luminance
+    bright_level: _Level  # 98th percentile
+    white_share: Fraction
+    chroma: Annotated[float, Meta(ge=0, le=1e3)]
+    length_m: Metres
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A number of both looks, in words, and in a clause what it means where it is out of bounds."""
+
+    name: str
+    photographed: str
+    rendered: str
+    bound: str
+    clause: str  # empty within the bound
+
+
+State = Literal["alike", "borderline", "not alike", "unknown"]
+
+
+@dataclass(frozen=True)
+class Likeness:
+    """One detector on photographed and rendered vehicles of the same tiles, by one match rule.
+
+    Recalls are at the frozen threshold. A vehicle has the score of its detection, 0 without one.
+    `higher` is the chance that a photographed vehicle has a larger score than a rendered one.
+    Intervals are over the tiles that show both.
+    """
+
+    detector: Name
+    dataset: Annotated[str, Meta(min_length=1, max_length=300)]
+    match: Match
+    tiles: WholeNumber
+    photographed: WholeNumber
+    rendered: WholeNumber
+    recall_photographed: _Share
+    recall_rendered: _Share
+    recall_difference: Annotated[Interval, Meta(ge=-1, le=1)]
+    median_photographed: _Score
+    median_rendered: _Score
+    higher: _Share
+    photographs: Look | None = None
+    renders: Look | None = None
+
+    @property
+    def state(self) -> State:
+        """Whether both kinds are seen alike; not if a whole interval lies out of bounds."""
+        few = min(self.photographed, self.rendered) < FEWEST_VEHICLES
+        if few or self.tiles < FEWEST_TILES or math.isnan(self.higher.low):
+            return "unknown"
+        bounds = (
+            (self.recall_difference, -LARGEST_DIFFERENCE, LARGEST_DIFFERENCE),
+            (self.higher, LEAST_OVERLAP, 1 - LEAST_OVERLAP),
+        )
+        if any(value.high < low or value.low > high for value, low, high in bounds):
+            return "not alike"
+        within = all(low <= value.estimate <= high for value, low, high in bounds)
+        return "alike" if within else "borderline"
+
+    @property
+    def title(self) -> str:
+        """The finding for a reader who knows that it is of renders."""
+        titles: dict[State, str] = {
+            "alike": "valid",
+            "borderline": "in doubt",
+            "not alike": "NOT VALID",
+            "unknown": "not comparable",
+        }
+        return titles[self.state]
+
+    @property
+    def outcome(self) -> str:
+        """The same as the outcome of a criterion of the precheck."""
+        outcomes = {"alike": "passed", "not alike": "failed", "unknown": "missing"}
+        return outcomes.get(self.state, "borderline")
+
+    @property
+    def sentence(self) -> str:
+        """The finding in one sentence, or two with what differs."""
+        name = detector_name(self.detector)
+        on = f"on the same {self.tiles} tiles of {self.dataset}"
+        if self.state == "unknown":
+            return (
+                f"It cannot be said whether {name} sees rendered vehicles like photographed ones: "
+                f"{self.photographed} labelled and {self.rendered} rendered vehicles {on} are too "
+                f"few ({FEWEST_VEHICLES} of each on {FEWEST_TILES} tiles are needed)."
+            )
+        says = {
+            "alike": "scores rendered vehicles like photographed ones",
+            "borderline": "may not score rendered vehicles like photographed ones",
+            "not alike": "does not score rendered vehicles like photographed ones",
+        }
+        return (
+            f"{name} {says[self.state]}: {self.figures}, {on} ({self.rendered} and "
+            f"{self.photographed} vehicles).{self.differing}"
+        )
+
+    @property
+    def figures(self) -> str:
+        """Median scores, recalls and the chance of a larger score, rendered vehicles first."""
+        return (
+            f"median score {self.median_rendered:.2f} and {self.median_photographed:.2f}, recall "
+            f"{_sure(self.recall_rendered)} and {_sure(self.recall_photographed)}, and in "
+            f"{_sure(self.higher)} of pairs the photographed vehicle has the larger score"
+        )
+
+    @property
+    def differing(self) -> str:
+        """Says what differs in the pictures where both kinds are not seen alike."""
+        clauses = [each.clause for each in self.differences if each.clause]
+        if self.state not in ("borderline", "not alike"):
+            return ""
+        if not clauses:
+            return " Brightness, colour and size of the vehicles do not tell why."
+        return f" Rendered vehicles {listed(clauses)}."
+
+    @property
+    def differences(self) -> list[Difference]:
+        """What boxes of both kinds of vehicles hold; empty where it was not measured."""
+        if self.photographs is None or self.renders is None:
+            return []
+        return [*_differences(self.photographs, self.renders)]
+
+
+def _differences(photographs: Look, renders: Look) -> Iterator[Difference]:
+    levels = (
+        ("2nd percentile of luminance", "dark_level", "have {} darkest parts"),
+        ("98th percentile of luminance", "bright_level", "have {} brightest parts"),
+    )
+    for name, attribute, clause in levels:
+        first, second = getattr(photographs, attribute), getattr(renders, attribute)
+        word = "brighter" if second > first else "darker"
+        out = abs(second - first) > _LEVELS
+        said = f"{clause.format(word)} ({name} {second:.0f} against {first:.0f})"
+        yield Difference(name, f"{first:.0f}", f"{second:.0f}", f"± {_LEVELS}", said if out else "")
+    first, second = photographs.white_share, renders.white_share
+    out = abs(second - first) > _WHITE and not first / _FACTOR <= second <= first * _FACTOR
+    shown, others = percent(first, 1), percent(second, 1)
+    said = f"hold {'more' if second > first else 'less'} pure white ({others} against {shown})"
+    yield Difference("pure white pixels", shown, others, f"× {_FACTOR}", said if out else "")
+    first, second = photographs.chroma, renders.chroma
+    out = abs(second - first) > _CHROMA
+    said = f"are {'more' if second > first else 'less'} colourful (chroma {second:.0f} against "
+    said += f"{first:.0f})"
+    yield Difference("chroma", f"{first:.0f}", f"{second:.0f}", f"± {_CHROMA}", said if out else "")
+    first, second = photographs.length_m, renders.length_m
+    out = abs(second - first) > _LENGTH * first
+    said = f"are {'longer' if second > first else 'shorter'} ({second:.1f} against {first:.1f} m)"
+    shown, others, bound = f"{first:.1f} m", f"{second:.1f} m", f"± {percent(_LENGTH)}"
+    yield Difference("longer side of the box", shown, others, bound, said if out else "")
+
+
+_LEVELS, _FACTOR, _WHITE, _CHROMA, _LENGTH = 10, 2, 0.01, 3, 0.1
+"""Bounds of what boxes hold: levels, a factor and a share of white, chroma, a share of length."""
+
+
+def _sure(value: Interval) -> str:
+    shown = percent(value.estimate)
+    return shown if math.isnan(value.low) else f"{shown} ({interval(value.low, value.high)})"
