@@ -84,7 +84,7 @@ def _ruled(ruling: Ruling, steps: Sequence[str]) -> Opening:
         )
     if ruling.answer == "not valid for this imagery":
         label = f"{name}: {ruling.answer.upper()}"
-        return Opening(ruling.answer, label, "", "", ruling.sentences[1], steps)
+        return Opening(ruling.answer, label, "", "", ruling.sentences[0], steps)
     if not ruling.attacks:
         return Opening(ruling.answer, f"No verdict on {name}", "", "", ruling.sentences[0], steps)
     attack, worst = next(iter(ruling.attacks.items()))
@@ -129,19 +129,21 @@ def _next_steps(
     hardened: bool,
 ) -> list[str]:
     steps = []
-    failed = [state.name for state in precheck.states if state.outcome == "failed"]
-    unchecked = [state.name for state in precheck.states if state.outcome is None]
-    if failed:
-        steps.append(
-            f"Improve {listed(failed)} first: a detector that fails the precheck loses vehicles to "
-            "ordinary changes, so its attack figures say little."
-        )
     unlike = [state.name for state in precheck.states if state.unlike]
+    failed = [
+        state.name for state in precheck.states if state.outcome == "failed" and not state.unlike
+    ]
+    unchecked = [state.name for state in precheck.states if state.outcome is None]
     if unlike:
         steps.append(
             f"Quote no rate of {listed(unlike)} for this imagery, because rendered vehicles look "
             "otherwise to it than photographed ones. Check resolution and labels (--gsd, "
             "--label-classes) first, then train it with renders beside photographs."
+        )
+    if failed:
+        steps.append(
+            f"Improve {listed(failed)} first: a detector that fails the precheck loses vehicles to "
+            "ordinary changes, so its attack figures say little."
         )
     if unchecked:
         steps.append(

@@ -14,7 +14,7 @@ from skyproof.ranges import Fraction, Match, Metres, Name, WholeNumber
 from skyproof.results.statistics.intervals import Interval
 from skyproof.words import detector_name, interval, listed, percent
 
-LARGEST_DIFFERENCE = 0.15
+LARGEST_DIFFERENCE = 0.1
 """Largest difference of the two recalls, either way, with which renders are valid."""
 
 LEAST_OVERLAP = 0.3
@@ -122,7 +122,7 @@ class Likeness:
         if self.state == "unknown":
             return (
                 f"It cannot be said whether {name} sees rendered vehicles like photographed ones: "
-                f"{self.photographed} labelled and {self.rendered} rendered vehicles {on} are too "
+                f"{self.rendered} rendered and {self.photographed} labelled vehicles {on} are too "
                 f"few ({FEWEST_VEHICLES} of each on {FEWEST_TILES} tiles are needed)."
             )
         says = {
@@ -131,17 +131,10 @@ class Likeness:
             "not alike": "does not score rendered vehicles like photographed ones",
         }
         return (
-            f"{name} {says[self.state]}: {self.figures}, {on} ({self.rendered} and "
-            f"{self.photographed} vehicles).{self.differing}"
-        )
-
-    @property
-    def figures(self) -> str:
-        """Median scores, recalls and the chance of a larger score, rendered vehicles first."""
-        return (
-            f"median score {self.median_rendered:.2f} and {self.median_photographed:.2f}, recall "
-            f"{_sure(self.recall_rendered)} and {_sure(self.recall_photographed)}, and in "
-            f"{_sure(self.higher)} of pairs the photographed vehicle has the larger score"
+            f"{name} {says[self.state]}: it finds {_sure(self.recall_rendered)} of {self.rendered} "
+            f"and {_sure(self.recall_photographed)} of {self.photographed} {on}, with median "
+            f"scores of {self.median_rendered:.2f} and {self.median_photographed:.2f}. In "
+            f"{_sure(self.higher)} of pairs the photographed vehicle scores higher.{self.differing}"
         )
 
     @property
