@@ -25,10 +25,12 @@ from skyproof.results.precheck import (
     Rate,
     write_precheck,
 )
+from skyproof.results.rows_file import write_rows
 from skyproof.results.score_folder import Baseline
 from skyproof.results.statistics.intervals import Interval
 from tests.generator.made_fits import made_fits
 from tests.imagery.made import smooth_noise
+from tests.results.test_likeness import likeness
 from tests.tiny_suite import TINY_SUITE, draw_datasets, tiny_suite
 
 __all__ = ["ASSESS", "make_world", "one_texture"]
@@ -77,6 +79,7 @@ def make_world(folder: Path) -> None:
         assert run([*ASSESS, "--out", str(folder)]) == 0
     draw_datasets(folder, 96, train=6, validation=2)
     _write_check(folder / "detectors/retinanet")
+    write_rows(folder / "scores/test-0/likeness.json", [likeness()])
     imagery = folder / "imagery"
     imagery.mkdir()
     _write_photo(imagery / "photo.tif")
@@ -103,7 +106,7 @@ def _write_check(folder: Path) -> None:
     # The one that it came with tells of more.
     (folder / PRECHECK_FILE).unlink()
     known = ("retinanet", card.weights_sha256, card.threshold, on)
-    record = PrecheckRecord(*known, [check], rates, (2, 1))
+    record = PrecheckRecord(*known, [check], rates, (2, 1), [likeness()])
     write_precheck(folder, record)
 
 

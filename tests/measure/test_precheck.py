@@ -14,7 +14,12 @@ from skyproof.detectors import inference
 from skyproof.detectors.card import DetectorCard, write_card
 from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
 from skyproof.measure.baseline import BaselineSet
-from skyproof.measure.precheck import PrecheckScenes, precheck, precheck_changes
+from skyproof.measure.precheck import (
+    PrecheckScenes,
+    precheck,
+    precheck_changes,
+    precheck_lines,
+)
 from skyproof.measure.views import SceneChange, SceneRenderer, views
 from skyproof.render.dataset import render_dataset
 from skyproof.render.renderer import TorchRenderer
@@ -175,6 +180,31 @@ def test_what_cannot_be_checked_is_refused(backgrounds, fleet, scenes):
         check()
 
 
+def test_photographs_of_the_tiles_are_compared_with_the_scenes_on_them(
+    backgrounds, fleet, scenes, tmp_path
+):
+    """Scores of 0.9 and 0.8 in each scene; the same boxes are labelled on the tiles."""
+    toy = Toy("toy", scenes, fleet)
+    tiles = [scene.background.tile for scene in scenes]
+    images = [backgrounds.pixels(tile) for tile in tiles]
+    labelled = Dataset.of_images(images, toy.places, gsd_m=0.125, ids=tiles)
+    frames = [BaselineSet("yours", labelled, real=True)]
+    data = PrecheckScenes(backgrounds, fleet, scenes, draws=1, frames=frames, seed=0)
+    (record,) = precheck([judging(toy)], data, device=torch.device("cpu"))
+    write_precheck(tmp_path, record)
+    main, _ = read_precheck(tmp_path).likeness
+    # The border of its scene cuts one of the six.
+    assert (
+        sum(bool((box <= 0).any() or (box >= SIZE_PX).any()) for box in torch.cat(toy.places)) == 1
+    )
+    assert (main.photographed, main.rendered) == (5, 5)
+    assert main.recall_difference.estimate == 0.0
+    assert main.state == "unknown"
+    assert any(
+        line.startswith("  It cannot be said whether toy") for line in precheck_lines(record)
+    )
+
+
 def test_a_record_is_read_as_it_was_written(records, tmp_path):
     record = records["blind"]
     undefined = replace(record.rates[0], easr=replace(record.rates[0].easr, low=math.nan))
@@ -186,6 +216,7 @@ def test_a_record_is_read_as_it_was_written(records, tmp_path):
     ]
     assert read.rates[1:] == as_read[1:]
     assert read.measured_on == record.measured_on
+    assert "likeness" not in (tmp_path / PRECHECK_FILE).read_text()
     assert read.found_by_tile == tuple(record.found_by_tile)
     assert flat_row(read.sets[0]) == flat_row(record.sets[0])
     with pytest.raises(RunFolderError, match=r"check\.json exists already"):
