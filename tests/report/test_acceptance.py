@@ -263,7 +263,7 @@ def test_no_one_is_judged_by_renders_that_are_not_valid(run_folder):
     ("row", "title"),
     [
         (likeness(), "Renders valid. RetinaNet scores rendered vehicles like photographed"),
-        (likeness(0.13), "Renders in doubt. RetinaNet may not score rendered vehicles like"),
+        (likeness(0.13), "Renders in doubt. RetinaNet seems not to score rendered vehicles"),
         (likeness(0.4, tiles=3), "Renders not comparable. It cannot be said whether RetinaNet"),
     ],
 )

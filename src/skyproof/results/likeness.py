@@ -127,7 +127,7 @@ class Likeness:
             )
         says = {
             "alike": "scores rendered vehicles like photographed ones",
-            "borderline": "may not score rendered vehicles like photographed ones",
+            "borderline": "seems not to score rendered vehicles like photographed ones",
             "not alike": "does not score rendered vehicles like photographed ones",
         }
         return (
