@@ -2,16 +2,20 @@
 
 from dataclasses import replace
 
+import jaxtyping
+import numpy as np
 import pytest
 import torch
+from scipy import stats
 
 from skyproof.datasets.dataset import Dataset
 from skyproof.measure.baseline import BaselineSet
-from skyproof.measure.likeness import compare_kinds
+from skyproof.measure.likeness import _recalls, _Seen, compare_kinds
 from skyproof.measure.score import score
 from skyproof.measure.views import SceneChange, SceneRenderer, look
-from skyproof.results.likeness import Look
+from skyproof.results.likeness import FEWEST_TILES, LARGEST_DIFFERENCE, Look
 from skyproof.results.results import Results
+from skyproof.results.statistics.intervals import resample
 from tests.measure.test_score import BOX, Brightest, Flat, Worn, flat_images, judging, some_scenes
 
 SURE = [220, 230, 240, 225, 235, 245]
@@ -111,6 +115,26 @@ def test_the_score_folder_keeps_it_without_asking_the_detector_again(tmp_path, m
     assert main.median_rendered == pytest.approx(200 / 255)
     assert main.higher.estimate == 1.0
     assert main.photographs.bright_level == 255.0
+
+
+@pytest.mark.slow
+def test_five_tiles_condemn_few_detectors_at_the_bound_and_three_would_more(monkeypatch):
+    """Recalls of 90 and 80 %; a fifth of the variance of either kind is the tile's."""
+    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
+    rng, shares = np.random.default_rng(2), {}
+    for count in (3, FEWEST_TILES, 12):
+        condemned = 0
+        for _ in range(400):
+            kinds = []
+            for recall in (0.9, 0.8):
+                tile = np.repeat(np.arange(count), rng.integers(1, 9, count))
+                own = rng.normal(0, 0.2**0.5, count)[tile] + rng.normal(0, 0.8**0.5, len(tile))
+                scores = stats.norm.ppf(recall) + own
+                kinds.append(_Seen(scores, scores > 0, tile))
+            *_, between = _recalls(*kinds, resample(count, generator=rng))
+            condemned += between.low > LARGEST_DIFFERENCE
+        shares[count] = condemned / 400
+    assert max(shares[FEWEST_TILES], shares[12]) <= 0.05 < shares[3], shares
 
 
 def test_drawn_ground_has_no_such_file(tmp_path, make_scene, fleet):
