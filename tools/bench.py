@@ -180,7 +180,8 @@ def _attack_steps(
     def detectors_only(images: torch.Tensor) -> None:
         # In halves, as `add_gradients` has it.
         halves = images.chunk(2) if device.type == "cpu" else [images]
-        at_a_time(partial(objective_and_gradient, models, weights, share=0.5), halves, models)
+        share = 1 / len(halves)
+        at_a_time(partial(objective_and_gradient, models, weights, share=share), halves, models)
 
     def step(camouflage: Camouflage) -> None:
         add_gradients(camouflage, models, weights, attacked, batch)

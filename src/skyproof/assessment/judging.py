@@ -116,7 +116,7 @@ def still_open(its: Subject, requirement: Requirement) -> Step:
 def _hopeless(name: str, record: PrecheckRecord) -> str:
     """Says why a precheck leaves no chance of acceptance; empty where it does."""
     unlike = record.likeness_by_main_rule
-    if unlike is not None and unlike.state == "not alike":
+    if unlike is not None and unlike.judges_nobody:
         return unlike.sentence
     found = worst(findings(record))
     return f"{detector_name(name)}: {found.words}" if found.outcome == "failed" else ""

@@ -6,7 +6,7 @@ from typing import Any
 
 import torch
 import warp as wp
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
@@ -63,8 +63,8 @@ class SeenBodies:
     """The visible surface of bodies without texture, for camera and sun.
 
     `screen` and `sun_screen` are vertices in samples of the windows `window` and `cast`. They and
-    the `normals` there are differentiable in the vehicles' vertices. `levels` are the pyramid
-    levels of faces. `mesh` holds all of it for kernels (`Mesh`).
+    the `normals` there are differentiable in the vehicles' vertices. `finest` is the finest
+    pyramid level of a face. `mesh` holds all of it for kernels (`Mesh`).
     """
 
     placed: Placed
@@ -74,7 +74,7 @@ class SeenBodies:
     screen: Float[Tensor, "N V 2"]
     sun_screen: Float[Tensor, "N V 2"]
     normals: Float[Tensor, "N V 3"]
-    levels: Int[Tensor, "N F"]
+    finest: int
     mesh: Any
 
     @property
@@ -112,7 +112,8 @@ def see_bodies(
         self_shadows=settings.self_shadows,
     )
     launch(texture_levels, levels.shape, mesh, float(vehicles.texture.shape[-1]), levels)
-    return SeenBodies(placed, window, cast, topology, screen, sun_screen, normals, levels, mesh)
+    finest = int(levels.min())
+    return SeenBodies(placed, window, cast, topology, screen, sun_screen, normals, finest, mesh)
 
 
 def draw_bodies(
@@ -132,8 +133,7 @@ def draw_bodies(
     else:
         shown = vehicles.worn_texture()
     masks = None if over is None else over.mask
-    finest = int(seen.levels.min())
-    texture = LinearTexture(shown, finest, own, None if own is None else masks)
+    texture = LinearTexture(shown, seen.finest, own, None if own is None else masks)
     paint = struct(
         Paint,
         pyramid=texture.pyramid,

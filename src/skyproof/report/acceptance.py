@@ -124,7 +124,7 @@ def _ruled(name: str, results: Results, requirement: Requirement) -> Ruling:
     failed = [each for each in found if each.outcome == "failed"]
     attacks = _attacks(results.counts, name)
     likeness = results.likeness_of(name)
-    if likeness is not None and likeness.state == "not alike":
+    if likeness is not None and likeness.judges_nobody:
         return _not_valid(likeness)
     if not attacks and found and not failed:
         raise ConfigurationError(

@@ -183,7 +183,7 @@ class PrecheckState:
     @property
     def unlike(self) -> bool:
         """Whether rendered vehicles are surely not seen like photographed ones."""
-        return self.likeness is not None and self.likeness.state == "not alike"
+        return self.likeness is not None and self.likeness.judges_nobody
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,10 @@ from skyproof.words import detector_name, hides, interval, listed, percent
 
 _MOST_STEPS = 3
 _SEVERITY: tuple[Answer, ...] = (
-    *("accepted", "undecided", "not applicable", "not valid for this imagery"),
+    "accepted",
+    "undecided",
+    "not applicable",
+    "not valid for this imagery",
     "rejected",
 )
 
@@ -136,8 +139,8 @@ def _next_steps(
     unchecked = [state.name for state in precheck.states if state.outcome is None]
     if unlike:
         steps.append(
-            f"Quote no rate of {listed(unlike)} for this imagery, because rendered vehicles look "
-            "otherwise to it than photographed ones. Check resolution and labels (--gsd, "
+            f"Quote no rate of {listed(unlike)} for this imagery, because it does not see "
+            "rendered vehicles like photographed ones. Check resolution and labels (--gsd, "
             "--label-classes) first, then train it with renders beside photographs."
         )
     if failed:

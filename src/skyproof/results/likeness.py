@@ -31,6 +31,9 @@ FEWEST_VEHICLES = 20
 FEWEST_TILES = 5
 """With fewer of either kind, nothing can be said; tests simulate chance on few tiles."""
 
+_LEVELS, _FACTOR, _WHITE, _CHROMA, _LENGTH = 10, 2, 0.01, 3, 0.1
+"""Bounds of what boxes hold: levels, a factor and a share of white, chroma, a share of length."""
+
 _Share = Annotated[Interval, Meta(ge=0, le=1)]
 _Score = Annotated[float, Meta(ge=-1e6, le=1e6)]
 _Level = Annotated[float, Meta(ge=0, le=255)]
@@ -103,6 +106,11 @@ class Likeness:
             return "not alike"
         within = all(low <= value.estimate <= high for value, low, high in bounds)
         return "alike" if within else "borderline"
+
+    @property
+    def judges_nobody(self) -> bool:
+        """Whether renders are surely not seen like photographs, so no verdict can rest on them."""
+        return self.state == "not alike"
 
     @property
     def title(self) -> str:
@@ -188,10 +196,6 @@ def _differences(photographs: Look, renders: Look) -> Iterator[Difference]:
     said = f"are {'longer' if second > first else 'shorter'} ({second:.1f} against {first:.1f} m)"
     shown, others, bound = f"{first:.1f} m", f"{second:.1f} m", f"± {percent(_LENGTH)}"
     yield Difference("longer side of the box", shown, others, bound, said if out else "")
-
-
-_LEVELS, _FACTOR, _WHITE, _CHROMA, _LENGTH = 10, 2, 0.01, 3, 0.1
-"""Bounds of what boxes hold: levels, a factor and a share of white, chroma, a share of length."""
 
 
 def _sure(value: Interval) -> str:

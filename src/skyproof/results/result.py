@@ -2,7 +2,7 @@
 
 import math
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.ranges import Match
+from skyproof.results.likeness import Likeness
 from skyproof.results.outcomes import MATCHES, ORIGINAL, OutcomeCounts, Series
 from skyproof.results.rows_file import interval_columns, nulls_for_undefined
 from skyproof.results.score_folder import SetScore
@@ -34,6 +35,11 @@ from skyproof.results.statistics.intervals import (
 MEAN = "mean"
 MAIN_MATCH: Match = "centre_1m"
 LENIENT_MATCH: Match = "centre_in_box"
+
+
+def by_main_rule(rows: Iterable[Likeness]) -> Likeness | None:
+    """Returns the comparison by the main match rule, which decides; None without one."""
+    return next((row for row in rows if row.match == MAIN_MATCH), None)
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from skyproof.layout import Layout
 from skyproof.results.likeness import Likeness
 from skyproof.results.outcomes import Outcome, OutcomeCounts, Series, read_outcomes
 from skyproof.results.precheck import PrecheckRecord, read_prechecks
-from skyproof.results.result import LENIENT_MATCH, MAIN_MATCH, MEAN, Result, summarise
+from skyproof.results.result import LENIENT_MATCH, MAIN_MATCH, MEAN, Result, by_main_rule, summarise
 from skyproof.results.rows_file import flat_row
 from skyproof.results.score_folder import Baseline, Pair, ScoreFolder, merge_scores
 from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
@@ -179,8 +179,7 @@ class Results:
 
     def likeness_of(self, detector: str) -> Likeness | None:
         """Gives the comparison by the main rule, which decides; None where it was not measured."""
-        own = (row for row in self.likeness if row.detector == detector)
-        return next((row for row in own if row.match == MAIN_MATCH), None)
+        return by_main_rule(row for row in self.likeness if row.detector == detector)
 
     @cached_property
     def sample(self) -> Sample:

@@ -116,7 +116,7 @@ def fill_back(cloth: Cloth, gradients: Pyramid, to_shown: wp.array4d(dtype=float
     for column in range(part, to_shown.shape[3] >> gradients.finest, parts):
         for index in range(first, last):
             value = from_all_levels(gradients, index, row, column) * share
-            # What no camera sees hands nothing on.
+            # Texels that no camera sees have no gradient.
             if value[0] == 0.0 and value[1] == 0.0 and value[2] == 0.0:
                 continue
             for y in range(row * side, (row + 1) * side):
