@@ -9,9 +9,7 @@ import torch
 from skyproof.imagery.clearing.vehicle_masks import (
     Shadow,
     darkness_profiles,
-    enough_profiles,
     estimate_shadow,
-    stack_profiles,
     vehicle_mask,
 )
 from skyproof.render.renderer import TorchRenderer
@@ -158,18 +156,3 @@ def test_the_shadow_of_rendered_vehicles_falls_away_from_the_sun(azimuth):
     mask = vehicle_mask((300, 300), frames.boxes, shadow, gsd_m=GSD_M, margin_m=0.4)
     changed = (image.float() - 127.5).abs().amax(0) > 12
     assert (changed & mask).sum() > 0.99 * changed.sum()
-
-
-def test_no_more_profiles_are_measured_than_are_used():
-    tiles = torch.rand(6, 100, 24, 24)
-    # Vehicles without free ground beside them do not count.
-    tiles[0, 1:] = torch.nan
-    measured = []
-
-    def each():
-        for tile in tiles:
-            measured.append(tile)
-            yield tile
-
-    assert np.array_equal(stack_profiles(enough_profiles(each())), stack_profiles(tiles))
-    assert len(measured) == 4

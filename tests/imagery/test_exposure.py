@@ -59,6 +59,15 @@ def test_vehicles_are_not_taken_for_bright_ground(grounds):
     assert np.mean(beside) == pytest.approx(np.mean(bare), rel=0.1)
 
 
+def test_white_burns_out_only_where_the_ground_does(grounds):
+    """Cameras are exposed for the brightest of what they see."""
+    bright = next(each for each in grounds if np.mean(each.light.white) > 1.2).image
+    dimmed = (bright.float() * 0.94).byte()
+    assert np.mean(exposure(dimmed).white) == pytest.approx(1, abs=0.001)
+    clipped = (bright.float() * 1.3).clamp(max=255).byte()
+    assert np.mean(exposure(clipped).white) > 1.2
+
+
 def test_haze_raises_the_black(grounds):
     image = grounds[0].image
     clear = np.array(exposure(image).black)

@@ -1,4 +1,4 @@
-"""The light of tiles that are cut from imagery: exposure of each source, sun of a date and time."""
+"""The light of tiles that are cut from imagery: exposure of each flight, sun of a date and time."""
 
 import math
 from datetime import UTC, datetime, timedelta, timezone
@@ -11,9 +11,13 @@ from rasterio.transform import Affine
 
 from skyproof.errors import ConfigurationError, ImageryError
 from skyproof.ground.procedural import draw_ground
+from skyproof.imagery.exif import Exif
+from skyproof.imagery.flights import flights_of
 from skyproof.imagery.photographs import sun_over
 from skyproof.imagery.settings import SourceSettings
+from skyproof.imagery.tiles.georeference import Georeference
 from skyproof.imagery.tiles.grid import Cell
+from skyproof.imagery.tiles.sources import Source
 from skyproof.scenes.light import Light
 from tests.imagery.made import all_tiles, noise, tile, write_image
 
@@ -91,18 +95,60 @@ def test_a_time_that_cannot_be_is_refused_before_anything_is_cut(tmp_path, crs, 
     assert [one.light.sun is not None for one in tiles] == 4 * [crs is not None]
 
 
-def test_each_source_keeps_its_exposure(tmp_path):
+def test_each_flight_keeps_its_exposure(tmp_path):
     """One picture at half the other's exposure: its white is half as bright."""
 
     drawn = draw_ground(300, 0.125, generator=torch.Generator().manual_seed(4)).image.numpy()
     linear = (drawn / 255.0) ** 2.2
-    for number, exposure in enumerate((1.0, 0.5)):
+    names = ("north", "south", "south2")
+    for number, exposure in enumerate((1.0, 0.5, 0.3)):
         shown = ((exposure * linear) ** (1 / 2.2) * 255).astype(np.uint8)
         corner = Affine(0.125, 0, 500_000 + 100 * number, 0, -0.125, 5_330_000)
-        write_image(tmp_path / f"{number}.tif", shown, crs="EPSG:32632", transform=corner)
-    backgrounds, _ = tile([tmp_path / "0.tif", tmp_path / "1.tif"], tmp_path / "set")
+        write_image(tmp_path / f"{names[number]}.tif", shown, crs="EPSG:32632", transform=corner)
+    backgrounds, _ = tile([tmp_path / f"{name}.tif" for name in names], tmp_path / "set")
     whites = {one.source: one.light.white[1] for one in all_tiles(backgrounds)}
-    assert whites["1.tif"] / whites["0.tif"] == pytest.approx(0.5, abs=0.08)
+    assert whites["south.tif"] / whites["north.tif"] == pytest.approx(0.5, abs=0.08)
+    assert whites["south.tif"] == whites["south2.tif"]
+    assert {one.flight for one in all_tiles(backgrounds)} == {"north.tif", "south.tif"}
+
+
+def test_a_flight_is_a_folder_a_system_a_series_of_names_and_a_time(tmp_path):
+    (tmp_path / "other").mkdir()
+    grid = CRS.from_epsg(32632)
+
+    def source(name, taken=None, crs=None):
+        georeference = Georeference(crs, Affine.identity(), (0.1, 0.1))
+        exif = Exif(taken and datetime(2024, 6, 20, *taken))
+        place = (Affine.identity(), georeference, (1, 2, 3), None, False, None, None, exif, ())
+        return Source(tmp_path / name, 9, 9, *place)
+
+    flights = flights_of(
+        [
+            source("DJI_5-01.jpg", (9, 50)),
+            source("DJI_5-02.jpg", (11, 30)),
+            source("DJI_5-03.jpg", (10, 40)),
+            source("DJI_5-04.jpg"),
+            source("DJI_5-05.jpg", (15, 0)),
+            source("DJI_6-01.jpg", (9, 50)),
+            source("DJI_5-06.jpg", crs=grid),
+            source("other/DJI_5-07.jpg", (9, 50)),
+        ]
+    )
+    first = "DJI_5-01.jpg"
+    alone = ["DJI_5-05.jpg", "DJI_6-01.jpg", "DJI_5-06.jpg", "DJI_5-07.jpg"]
+    assert flights == [first, first, first, first, *alone]
+
+
+def test_photographs_of_the_night_are_noted(tmp_path):
+    drawn = draw_ground(300, 0.125, generator=torch.Generator().manual_seed(4)).image.numpy()
+    corner = Affine(0.125, 0, 500_000, 0, -0.125, 5_330_000)
+    write_image(tmp_path / "a.tif", drawn // 8, crs="EPSG:32632", transform=corner)
+    night, record = tile([tmp_path / "a.tif"], tmp_path / "night")
+    assert noted(record, "night") == [
+        "a.tif: so dark that it seems to be taken at night; vehicles will be drawn as in dim "
+        "daylight, without lamps"
+    ]
+    assert np.mean(all_tiles(night)[0].light.white) == pytest.approx(0.3, abs=0.001)
 
 
 def test_only_what_was_measured_is_noted(tmp_path):

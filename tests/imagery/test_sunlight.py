@@ -1,4 +1,4 @@
-"""Sun and sky measured from the shadows of rendered vehicles, where both are known."""
+"""Sun or clouds by the shadows of rendered vehicles, where both are known."""
 
 import dataclasses
 import math
@@ -11,15 +11,13 @@ import torch
 from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.imagery.clearing.sunlight import (
     OVERCAST_SKY,
-    Footprints,
-    casts_no_shadow,
+    casts_hard_shadows,
     estimate_sun,
     lights_record,
     measured_lights,
-    shadow_light,
-    with_sky,
+    shadow_edges,
 )
-from skyproof.imagery.clearing.vehicle_masks import darkness_profiles
+from skyproof.imagery.words import light_words
 from skyproof.render.dataset import placed_vehicles
 from skyproof.render.renderer import TorchRenderer
 from skyproof.render.settings import RenderSettings
@@ -85,169 +83,162 @@ def standing(fleet, placement):
     )
 
 
-def profiles(images, vehicles):
-    footprints = [Footprints.of(own, GSD_M) for own in vehicles]
-    return [
-        darkness_profiles(image, own.boxes, own.headings_rad, gsd_m=GSD_M)
-        for image, own in zip(images, footprints, strict=True)
+def edges(images, vehicles):
+    """Those of all vehicles, whose numbers go on from picture to picture."""
+    rows = []
+    for number, (image, own) in enumerate(zip(images, vehicles, strict=True)):
+        found = shadow_edges(image, own, range(len(own)), gsd_m=GSD_M)
+        found[:, 0] += 100 * number
+        rows.append(found)
+    return np.concatenate(rows)
+
+
+def turn_deg(sun, azimuth_deg):
+    """How far a sun stands from an azimuth."""
+    return abs((math.degrees(sun.azimuth_rad) - azimuth_deg + 180) % 360 - 180)
+
+
+@pytest.mark.parametrize(
+    ("azimuth_deg", "elevation_deg", "sky_share"),
+    [(40, 15, 0.2), (130, 30, 0.2), (200, 40, 0.6), (310, 58, 0.2), (100, 70, 0.2)],
+)
+def test_the_sun_is_that_of_the_pictures(ground, azimuth_deg, elevation_deg, sky_share):
+    """Also behind thin clouds, which send more than half of the light."""
+    found = edges(*photographs(ground, azimuth_deg, elevation_deg, Light(sky=(sky_share,) * 3)))
+    assert casts_hard_shadows(found, blur_m=0.7 * GSD_M)
+    sun = estimate_sun(found)
+    assert turn_deg(sun, azimuth_deg) <= 10
+    assert math.degrees(sun.elevation_rad) == pytest.approx(elevation_deg, abs=8)
+    assert 0 < math.degrees(sun.azimuth_sd_rad) < 12
+    assert f"shadows of {len({*found[:, 0]})} vehicles" in sun.known_from
+
+
+def test_labels_that_hold_the_shadows_do_not_turn_the_sun(ground):
+    """Boxes drawn around vehicle and shadow reach farther on the shadow's side."""
+    images, vehicles = photographs(ground, 200, 50, Light(sky=SKY))
+    shifted = [
+        [
+            dataclasses.replace(
+                one,
+                x_px=one.x_px - 0.2 * math.cos(math.radians(200)) / GSD_M,
+                y_px=one.y_px + 0.2 * math.sin(math.radians(200)) / GSD_M,
+                length_m=one.length_m + 0.2,
+                width_m=one.width_m + 0.2,
+            )
+            for one in own
+        ]
+        for own in vehicles
     ]
+    sun = estimate_sun(edges(images, shifted))
+    assert turn_deg(sun, 200) <= 15
 
 
-@pytest.mark.parametrize(("azimuth_deg", "elevation_deg"), [(40, 20), (200, 40), (310, 58)])
-def test_sun_and_sky_are_those_of_the_pictures(ground, azimuth_deg, elevation_deg):
-    light = Light(sky=SKY)
-    images, vehicles = photographs(ground, azimuth_deg, elevation_deg, light)
-    sun = estimate_sun(profiles(images, vehicles))
-    assert sun is not None
-    # The drawn ground holds shadows under another sun, which pull a little.
-    turn = (math.degrees(sun.azimuth_rad) - azimuth_deg + 180) % 360 - 180
-    assert abs(turn) < 15
-    assert 0 < math.degrees(sun.azimuth_sd_rad) < 20
-    assert math.degrees(sun.elevation_rad) == pytest.approx(elevation_deg, abs=7)
-    ratios = [
-        shadow_light(image, Footprints.of(own, GSD_M), sun, light, gsd_m=GSD_M)
-        for image, own in zip(images, vehicles, strict=True)
-    ]
-    measured = with_sky(dataclasses.replace(Light(), sun=sun), ratios)
-    assert measured.sky == pytest.approx(SKY, abs=0.06)
-    # Bluer than the sun.
-    assert measured.sky[2] > measured.sky[0]
+def test_under_clouds_shadows_end_softly(ground):
+    found = edges(*photographs(ground, 40, 30, Light(sky=OVERCAST_SKY)))
+    assert casts_hard_shadows(found, blur_m=0.7 * GSD_M) is False
 
 
-def test_pictures_without_shadows_tell_no_sun(ground):
-    images, vehicles = photographs(ground, 40, 30, Light(sky=(1.0, 1.0, 1.0)))
-    none_cast = [torch.full_like(image, 120) for image in images]
-    assert estimate_sun(profiles(none_cast, vehicles)) is None
-    assert estimate_sun([]) is None
-    two = [profiles(images, vehicles)[0][:2]]
+def test_what_does_not_tell_sun_or_clouds(ground):
+    images, vehicles = photographs(ground, 40, 40, Light(sky=SKY))
+    every = edges(images, vehicles)
+    assert casts_hard_shadows(every, blur_m=0.09) is True
+    assert casts_hard_shadows(every, blur_m=0.3) is None, "every edge is blurred as under clouds"
+    two = every[every[:, 0] < 2]
+    assert casts_hard_shadows(two, blur_m=0.09) is None
     assert estimate_sun(two) is None
-
-
-def test_vehicles_of_which_too_little_is_known_are_not_used():
-    known = RemovedVehicle(50.0, 40.0, 0.3, "label", 4.0, 2.0)
-    unknown = RemovedVehicle(50.0, 40.0)
-    footprints = Footprints.of([unknown, known], GSD_M)
-    assert footprints.headings_rad == (0.3,)
-    assert footprints.boxes.tolist() == [[34.0, 32.0, 66.0, 48.0]]
-    assert len(Footprints.of([unknown], GSD_M).boxes) == 0
-
-
-def test_under_a_high_sun_the_sky_stays_the_usual_one():
-    high = Light(sun=SunEstimate(0.0, math.radians(62)))
-    low = Light(sun=SunEstimate(0.0, math.radians(40)))
-    ratios = [torch.full((5, 3), 0.6 * 0.68)]
-    assert with_sky(high, ratios) == high
-    assert with_sky(low, ratios).sky == pytest.approx((0.6, 0.6, 0.6), abs=0.01)
-    assert with_sky(low, [torch.full((2, 3), 0.6)]) == low
-    # 56 degrees by shadows may be 62.
-    unsure = Light(sun=SunEstimate(0.0, math.radians(56), elevation_sd_rad=math.radians(3)))
-    assert with_sky(unsure, ratios) == unsure
-    surer = Light(sun=SunEstimate(0.0, math.radians(53), elevation_sd_rad=math.radians(3)))
-    assert with_sky(surer, ratios).sky == pytest.approx((0.6, 0.6, 0.6), abs=0.01)
-
-
-def test_vehicles_without_a_dark_side_tell_an_overcast_sky(ground):
-    for elevation_deg in (30, 75):
-        images, vehicles = photographs(ground, 40, elevation_deg, Light(sky=SKY))
-        assert not casts_no_shadow(profiles(images, vehicles))
-    without = [torch.full_like(image, 120) for image in images]
-    shown = profiles(without, vehicles)
-    assert casts_no_shadow(shown)
-    assert not casts_no_shadow([shown[0][:2]]), "two vehicles say nothing"
-
-
-def several_sources(ground, folder, sunny, *, overcast):
-    """Writes photographs of several sources; of "few" but two vehicles.
-
-    Returns what measures the lights of some of these sources.
-    """
-    tiles, vehicles_of = [], {}
-    images, vehicles = photographs(ground, 200, 35, Light(sky=SKY))
     plain = [torch.full_like(image, 120) for image in images]
-    for source in (*sunny, *overcast):
-        for number, own in enumerate(vehicles[: 1 if source == "few" else None]):
-            name = f"{source}-{number}"
-            # Where it stood behind the clouds says nothing of the others' sun.
-            light = (
-                Light(sun=SunEstimate(1.0, 0.5)) if source == "a" and source in overcast else None
-            )
-            tile = BackgroundTile(
-                name, f"{name}.png", "train", SIDE_PX, SIDE_PX, source, light=light
-            )
-            save_tile(folder, tile, (plain if source in overcast else images)[number])
-            tiles.append(tile)
-            vehicles_of[name] = own[:2] if source == "few" else own
-    write_index(folder, 0.125, tiles)
-
-    def lights_of(*sources):
-        chosen = [tile for tile in tiles if tile.source in sources]
-        return measured_lights(BackgroundSet.open(folder), chosen, vehicles_of)
-
-    return lights_of
+    black = [torch.zeros_like(image) for image in images]
+    unknown = [[dataclasses.replace(one, heading_rad=None) for one in own] for own in vehicles]
+    for none in (edges(plain, vehicles), edges(black, vehicles), edges(images, unknown)):
+        assert none.shape == (0, 4)
+        assert casts_hard_shadows(none, blur_m=0.09) is None
+        assert estimate_sun(none) is None
 
 
-def test_suns_are_shared_where_shadows_are_unclear_and_not_where_there_are_none(ground, tmp_path):
-    """Of five photographs one shows two vehicles alone, and one vehicles without any shadow."""
-    lights_of = several_sources(ground, tmp_path, ("a", "b", "c", "few"), overcast=("overcast",))
-    lights = lights_of("a", "b", "c", "few", "overcast")
-    own = lights["a"].sun
-    assert "shadows of" in own.known_from
-    shared = lights["few"].sun
-    assert shared.known_from == "other photographs of the set"
-    assert shared.azimuth_rad == own.azimuth_rad
-    assert lights["overcast"].sky == OVERCAST_SKY
-    assert lights["overcast"].sun is None
-    assert lights["few"].sky != OVERCAST_SKY
-    assert lights_of("a", "b", "few")["few"].sun is None, "two others are too few"
-    record = lights_record(lights)
-    assert {*record["suns"]} == {"a", "b", "c", "few"}
-    assert record["overcast"] == ["overcast"]
-    assert record["photographs"] == 5
+def test_shadows_to_every_side_tell_no_sun(ground):
+    """A flight that turned between its photographs: hard shadows, without a common direction."""
+    images, vehicles = photographs(ground, 40, 40, Light(sky=SKY))
+    found = edges(images, vehicles)
+    found[:, 1] += found[:, 0] // 100 * math.pi / 4
+    assert casts_hard_shadows(found, blur_m=0.09)
+    assert estimate_sun(found) is None
 
 
-def test_a_flight_under_clouds_is_overcast_where_too_few_vehicles_stand_to_tell(ground, tmp_path):
-    lights_of = several_sources(ground, tmp_path, ("one", "two"), overcast=("a", "b", "c", "few"))
+@pytest.fixture(scope="module")
+def flights(ground, tmp_path_factory):
+    """Writes flights of eight photographs each, and returns them with the vehicles of each.
 
-    def sky_of_few(*others):
-        return lights_of("few", *others)["few"].sky
-
-    assert sky_of_few("a", "b", "c") == OVERCAST_SKY
-    assert sky_of_few("a", "b") != OVERCAST_SKY, "two others are too few"
-    assert sky_of_few("a", "b", "c", "one") == OVERCAST_SKY, "a sun against three may be feigned"
-    assert sky_of_few("a", "b", "c", "one", "two") != OVERCAST_SKY
-    assert lights_of("a", "b", "c", "few", "one")["one"].sun is not None
-
-
-def test_each_source_has_its_own_sun_and_what_is_known_stays(ground, tmp_path):
-    known = SunEstimate(1.0, 0.5, known_from="date and time")
-    suns = {"west.tif": 30, "east.tif": 250, "dated.tif": 30}
+    Of the first tile of each two vehicles are known. One flight has no vehicles but labels, and
+    one shows a single colour.
+    """
+    folder = tmp_path_factory.mktemp("flights")
+    dated = SunEstimate(1.0, 0.5, known_from="date and time")
+    sunny, vehicles = photographs(ground, 200, 35, Light(sky=SKY))
+    cloudy, _ = photographs(ground, 200, 35, Light(sky=OVERCAST_SKY))
+    empty = [ground.pixels(tile.id)[:, :SIDE_PX, :SIDE_PX] for tile in ground.tiles("test")]
+    plain = [torch.full_like(image, 120) for image in sunny]
     tiles, vehicles_of = [], {}
-    for source, azimuth_deg in suns.items():
-        images, vehicles = photographs(ground, azimuth_deg, 25, Light())
+    pictures = {"sunny": sunny, "cloudy": cloudy, "empty": empty, "plain": plain, "dated": sunny}
+    for flight, images in pictures.items():
         for number, (image, own) in enumerate(zip(images, vehicles, strict=True)):
-            light = Light(white=(0.8, 0.8, 0.8), sun=known if source == "dated.tif" else None)
+            name = f"{flight}-{number}"
+            light = Light(white=(0.5,) * 3, sun=dated if flight == "dated" else None)
             tile = BackgroundTile(
-                id=f"{source}-{number}",
-                file=f"{source}-{number}.png",
-                split="train",
-                width_px=SIDE_PX,
-                height_px=SIDE_PX,
-                source=source,
-                light=light,
+                name, f"{name}.png", "train", SIDE_PX, SIDE_PX, name, flight=flight, light=light
             )
-            save_tile(tmp_path, tile, image)
+            save_tile(folder, tile, image)
             tiles.append(tile)
-            vehicles_of[tile.id] = own
-    write_index(tmp_path, 0.125, tiles)
-    lights = measured_lights(BackgroundSet.open(tmp_path), tiles, vehicles_of)
-    true = np.mean([tile.light.white for tile in ground.tiles("test")])
-    for source, azimuth_deg in suns.items():
-        light = lights[source]
-        # The exposure is measured anew, on the ground beside the vehicles.
-        assert np.mean(light.white) == pytest.approx(true, rel=0.3)
-        if source == "dated.tif":
-            assert light.sun == known
-        else:
-            turn = (math.degrees(light.sun.azimuth_rad) - azimuth_deg + 180) % 360 - 180
-            assert abs(turn) < 15
-            assert "shadows of" in light.sun.known_from
+            vehicles_of[name] = own[:2] if number == 0 else own
+    write_index(folder, GSD_M, tiles)
+    return BackgroundSet.open(folder), vehicles_of
+
+
+def lights_of(flights, *names, vehicles=lambda own: own):
+    backgrounds, vehicles_of = flights
+    chosen = [tile for tile in backgrounds.all_tiles() if tile.flight in names]
+    return measured_lights(
+        backgrounds, chosen, {name: vehicles(own) for name, own in vehicles_of.items()}
+    )
+
+
+def test_photographs_of_a_flight_share_their_light_whatever_stands_on_each(flights):
+    lights = lights_of(flights, "sunny", "cloudy", "dated")
+    for flight in ("sunny", "cloudy", "dated"):
+        assert len({light for name, light in lights.items() if flight in name}) == 1
+    assert turn_deg(lights["sunny-0"].sun, 200) <= 10
+    assert lights["sunny-0"].sky == Light().sky
+    assert lights["cloudy-0"].sky == OVERCAST_SKY
+    assert lights["cloudy-0"].sun is None
+    assert lights["dated-0"].sun.known_from == "date and time"
+    # The exposure is measured anew, on the ground beside the vehicles.
+    assert lights["sunny-0"].white != (0.5,) * 3
+    record = lights_record(lights)
+    assert len(record["suns"]) == 2 * SCENES
+    assert record["overcast"] == [f"cloudy-{number}" for number in range(SCENES)]
+    told = " ".join(light_words(record))
+    assert f"Sun known over {2 * SCENES} of {3 * SCENES} sources" in told
+    assert f"Overcast: over {SCENES} of {3 * SCENES} sources" in told
+    assert "not known" not in told
+
+
+@pytest.mark.parametrize(
+    ("flight", "vehicles"),
+    [("sunny", lambda own: []), ("empty", list), ("plain", list)],
+    ids=["no labels", "labels on empty ground", "one colour"],
+)
+def test_flights_that_tell_nothing_leave_the_sun_open_in_one_sentence(flights, flight, vehicles):
+    lights = lights_of(flights, flight, vehicles=vehicles)
+    assert {(light.sun, light.sky) for light in lights.values()} == {(None, Light().sky)}
+    (told,) = light_words(lights_record(lights))
+    assert told.startswith(f"Where the sun stood over {SCENES} of {SCENES} sources is not known")
+    assert told.endswith("scenes will draw any sun.")
+
+
+@pytest.mark.parametrize("flight", ["sunny", "cloudy"])
+def test_ten_labels_of_a_flight_are_enough(flights, flight):
+    _, vehicles_of = flights
+    every = [one for name, own in vehicles_of.items() if flight in name for one in own][:10]
+    lights = lights_of(flights, flight, vehicles=lambda own: [one for one in own if one in every])
+    (light,) = {*lights.values()}
+    assert (light.sky == OVERCAST_SKY) is (flight == "cloudy")
+    assert light.sun is None if flight == "cloudy" else turn_deg(light.sun, 200) <= 20

@@ -1,7 +1,6 @@
 """Measures how photographs show the world: their blur, noise, exposure, and dated sun."""
 
 import math
-from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
@@ -20,6 +19,7 @@ from torch import Tensor
 from skyproof.datasets.pictures import Pixels
 from skyproof.errors import ImageryError
 from skyproof.geometry.colour import srgb_to_linear
+from skyproof.imagery.flights import by_flight
 from skyproof.imagery.notes import ImageNote
 from skyproof.imagery.tiles.georeference import DEGREES, to_reference_system
 from skyproof.imagery.tiles.grid import Cell
@@ -58,6 +58,8 @@ _WEIGHT_OF_BRIGHTEST = 0.8
 _LEAST_WHITE, _LARGEST_WHITE = 0.3, 4.0
 # Pixels nearer to a vehicle's middle do not count as ground.
 _VEHICLE_M = 3.5
+# What clips at this brightness has no place for a brighter white.
+_CLIPPED = 0.955
 # Brightness of a surface in deep shadow as a share of white.
 _DEEPEST = 0.01
 # Vehicles cannot be counted in a photograph under a lower sun.
@@ -141,15 +143,6 @@ def picture_of(tile: BackgroundTile) -> str:
     return tile.source if tile.kind is None else tile.id
 
 
-def by_picture(tiles: Iterable[BackgroundTile]) -> dict[str, list[BackgroundTile]]:
-    """Groups the tiles of imagery by their picture; drawn tiles are skipped."""
-    groups: dict[str, list[BackgroundTile]] = defaultdict(list)
-    for tile in tiles:
-        if tile.kind is None:
-            groups[picture_of(tile)].append(tile)
-    return groups
-
-
 def some_of(tiles: Sequence[Item]) -> Sequence[Item]:
     """Takes every n-th tile, at most 31, so that measuring does not grow with the imagery."""
     return tiles[:: max(1, len(tiles) // _TILES_MEASURED)]
@@ -171,11 +164,12 @@ def ground_pixels(
 
 
 def measure_exposure(grounds: Iterable[UInt8[Tensor, "P 3"]]) -> Light:
-    """Measures white, black and white balance from `ground_pixels` of tiles of one source.
+    """Measures white, black and white balance from `ground_pixels` of tiles of one flight.
 
     White comes from the brightest thousandth of the ground and from its median, its colour from
-    nearly grey ground, and black from the darkest 0.2 % of each channel. Ground of one kind, such
-    as snow, misleads it, and a tint of more than a tenth is found in part.
+    nearly grey ground, and black from the darkest 0.2 % of each channel. Only where the ground
+    itself burns out does white, too: cameras are exposed for the brightest of what they see.
+    Ground of one kind, such as snow, misleads it, and a tint of more than a tenth is found in part.
     """
     pixels = np.concatenate([np.zeros((0, 3), np.uint8), *(each.numpy() for each in grounds)])
     if len(pixels) < FEWEST_PIXELS // STRIDE_PX**2 or pixels.max() - pixels.min() < STRIDE_PX:
@@ -188,7 +182,8 @@ def measure_exposure(grounds: Iterable[UInt8[Tensor, "P 3"]]) -> Light:
     brightest, median = np.quantile(light.mean(1), (BRIGHT_SHARE, 0.5))
     logarithm = _WEIGHT_OF_BRIGHTEST * np.log(_WHITE_OF_BRIGHTEST * brightest)
     logarithm += (1 - _WEIGHT_OF_BRIGHTEST) * np.log(_WHITE_OF_MEDIAN * max(median, 1e-3))
-    white = float(np.clip(np.exp(logarithm), _LEAST_WHITE, _LARGEST_WHITE))
+    largest = _LARGEST_WHITE if brightest >= _CLIPPED else 1.0
+    white = float(np.clip(np.exp(logarithm), _LEAST_WHITE, largest))
     spread = pixels.max(1).astype(float) - pixels.min(1)
     grey = light[spread <= GREY_SATURATION * np.maximum(pixels.max(1), 1)]
     middle = np.median(grey, axis=0) if len(grey) >= FEWEST_GREY * len(pixels) else np.ones(3)
@@ -206,26 +201,34 @@ def lit_tiles(
     vehicles_px: Mapping[str, Float[Tensor, "n 2"]],
     notes: list[str],
 ) -> list[BackgroundTile]:
-    """Measures how each source shows light, and gives it with the tile's sun to its tiles."""
+    """Measures how each flight shows light, and gives it with the tile's sun to its tiles."""
     backgrounds = BackgroundSet(folder, gsd_m, tiles)
-    measured: dict[str, Light] = {}
-    for source, of_one in by_picture(tiles).items():
+    lights: dict[str, Light] = {}
+    whites: list[float] = []
+    for of_flight in by_flight(tiles):
+        light, told = Light(), None
         try:
-            measured[source] = exposure_of(backgrounds, of_one, vehicles_px)
+            light = exposure_of(backgrounds, of_flight, vehicles_px)
+            whites.append(sum(light.white) / 3)
+            if whites[-1] < _LEAST_WHITE + 0.001:
+                told = (
+                    "so dark that it seems to be taken at night; vehicles will be drawn as in dim "
+                    "daylight, without lamps"
+                )
         except ImageryError:
             told = (
                 "too plain to measure its exposure; vehicles will be drawn as on a clear day, well "
                 "exposed"
             )
-            notes.append(ImageNote(source, told))
-    if measured:
-        whites = [sum(light.white) / 3 for light in measured.values()]
+        if told is not None:
+            notes += [ImageNote(one, told) for one in dict.fromkeys(t.source for t in of_flight)]
+        lights |= {one.id: replace(light, sun=suns.get(one.id)) for one in of_flight}
+    if whites:
         notes.append(
             f"exposure measured: white in the open sun would be shown as {min(whites):.2f} to "
             f"{max(whites):.2f} of the brightest value; vehicles will be drawn alike"
         )
-    lights = [replace(measured.get(one.source, Light()), sun=suns.get(one.id)) for one in tiles]
-    return [replace(tile, light=light) for tile, light in zip(tiles, lights, strict=True)]
+    return [replace(tile, light=lights[tile.id]) for tile in tiles]
 
 
 def exposure_of(
@@ -233,7 +236,7 @@ def exposure_of(
     tiles: Sequence[BackgroundTile],
     vehicles_px: Mapping[str, Float[Tensor, "n 2"]],
 ) -> Light:
-    """Measures the exposure of one source on some of its tiles, away from vehicles."""
+    """Measures the exposure of one flight on some of its tiles, away from vehicles."""
     return measure_exposure(
         ground_pixels(backgrounds.pixels(one.id), vehicles_px[one.id], gsd_m=backgrounds.gsd_m)
         for one in some_of(tiles)

@@ -5,7 +5,6 @@ from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from skyproof.imagery.clearing.sunlight import KNOWN_FROM
 from skyproof.imagery.notes import ImageNote
 from skyproof.imagery.tiles.tiling import TilingRecord
 from skyproof.scenes.splits import SPLITS
@@ -53,23 +52,20 @@ def light_words(record: dict[str, Any]) -> Iterator[str]:
     sunny = [sun for name, sun in suns.items() if name not in overcast]
     if sunny:
         elevations_deg = [math.degrees(sun["elevation_rad"]) for sun in sunny]
-        shared = sum(sun["known_from"] == KNOWN_FROM for sun in sunny)
-        taken = f", that of {shared} taken from the others, which agree" if shared else ""
         yield (
             f"Sun known over {len(sunny)} of {photographs} sources, {min(elevations_deg):.0f} to "
-            f"{max(elevations_deg):.0f} degrees high{taken}: vehicles will stand in it."
+            f"{max(elevations_deg):.0f} degrees high: vehicles will stand in it."
         )
     if overcast:
         yield (
-            f"Overcast: over {len(overcast)} of {photographs} sources vehicles cast no shadow (or "
-            "too few stand to tell, and nearly all others are overcast), so they will be drawn in "
-            "the sky's light alone."
+            f"Overcast: over {len(overcast)} of {photographs} sources the shadows of vehicles end "
+            "softly, so vehicles will be drawn in the sky's light alone."
         )
     unknown = photographs - len(sunny) - len(overcast)
     if unknown:
         yield (
             f"Where the sun stood over {unknown} of {photographs} sources is not known (too few "
-            "vehicles with clear shadows): scenes will draw any sun."
+            "vehicles with clear shadows on even ground): scenes will draw any sun."
         )
 
 

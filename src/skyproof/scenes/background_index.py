@@ -33,6 +33,7 @@ class BackgroundTile:
     Attributes:
         id: unique in the set; the cluster of the bootstrap.
         source: source image, or "procedural".
+        flight: photographs that share their light; None: those of the source alone.
         offset_px: left and top edge in the grid of tiles, in pixels.
         kind: content of a procedural tile.
         sensor, light: those of this tile, if they are not the set's.
@@ -50,6 +51,7 @@ class BackgroundTile:
     source: str
     offset_px: tuple[_Offset, _Offset] = (0, 0)
     kind: str | None = None
+    flight: Annotated[str, Meta(max_length=400)] | None = None
     licence: str | None = None
     sensor: Sensor | None = None
     light: Light | None = None

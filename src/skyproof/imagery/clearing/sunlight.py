@@ -1,149 +1,99 @@
-"""Estimates sun and sky of a photograph from the shadows of its vehicles."""
+"""Tells sun or clouds over a flight by where, and how sharply, its vehicles' shadows end."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float
 from numpy.typing import NDArray
-from torch import Tensor
+from scipy import ndimage
 
-from skyproof.datasets.pictures import Boxes, Pixels
+from skyproof.datasets.pictures import Pixels
 from skyproof.errors import ImageryError
 from skyproof.geometry.colour import srgb_to_linear
-from skyproof.imagery.clearing.vehicle_masks import (
-    FAINTEST_SHADOW,
-    FEWEST_VEHICLES,
-    LAYER_M,
-    NEAR_M,
-    arrival,
-    covered_ground,
-    darkness_profiles,
-    enough_profiles,
-    shadow_side,
-    stack_profiles,
-    window_around,
-)
-from skyproof.imagery.photographs import by_picture, exposure_of
+from skyproof.imagery.clearing.vehicle_masks import FEWEST_VEHICLES, SAMPLE_LIMIT
+from skyproof.imagery.flights import by_flight
+from skyproof.imagery.photographs import exposure_of, picture_of
 from skyproof.scenes.background_index import BackgroundTile
 from skyproof.scenes.backgrounds import BackgroundSet
-from skyproof.scenes.light import Light, SunEstimate, rounded_levels
+from skyproof.scenes.light import Light, SunEstimate
 from skyproof.scenes.places import RemovedVehicle
-
-FEWEST_TO_SHARE = 3
-"""Fewest photographs that must agree before others take their light."""
-WITHIN_RAD = math.radians(20)
-KNOWN_FROM = "other photographs of the set"
-HEIGHT_M = 1.5
-"""Height of a vehicle: the median of the catalogue's saloons, hatchbacks and estates."""
-END_SHARE = 0.35
-# Factor and addition that turn the end of the darkness into a shadow's length. They are fitted on
-# rendered scenes with the sun at 15 to 70 degrees, with an error of 2.2 degrees (standard
-# deviation), a little more with estimated headings.
-_STRETCH, _HIDDEN_M = 1.36, 0.12
-_ELEVATION_SD_RAD = math.radians(3)
-_RESAMPLES = 60
-_LARGEST_SD_RAD = math.radians(30)
-_LOWEST_RAD, _HIGHEST_RAD = math.radians(8), math.radians(80)
-
-# Even the shadow of a high sun is wider than half of this.
-_NEAR_M = 0.5
-# Shadows are read from this distance, beyond the vehicle, up to this share of their length, before
-# their soft edge.
-_FROM_M, _TO_SHARE = 0.12, 0.25
-_FEWEST_PIXELS = 6
-# At this distance the vehicle also hides a third of the sky, in both renderers.
-_SKY_LEFT = 0.68
-_HIGHEST_FOR_SKY_RAD = math.radians(60)
 
 OVERCAST_SKY = (1.0, 1.0, 1.0)
 """Without shadows of vehicles, all light is the sky's."""
+HARD_M = 0.33
+"""A darkness that takes longer to end, from three quarters to a quarter of it, is no shadow of the
+sun. Without the sensor's own blur it takes 0.11 to 0.21 m on scenes that are rendered in the sun,
+0.25 m where the sky gives 60 % of the light, and 0.53 m under clouds."""
+SHADOW_HEIGHT_M = 0.8
+"""Height of the edge that ends a vehicle's shadow, its belt line: fitted on rendered scenes with
+the sun at 20 to 70 degrees, with an error of 3 degrees."""
+
+# Ground is read along strips across a vehicle's sides, from within its box, which may hold a part
+# of the shadow. Strips near corners would read two shadows.
+_STEP_M = 0.04
+_OUTWARD_M = np.arange(-0.3, 4.0, _STEP_M)
+_STRIP_M, _CORNER_M = 0.6, 0.6
+_ACROSS_M = np.linspace(-0.2, 0.2, 5)
+_DARKEST_WITHIN_M = 0.9
+_BEYOND_M = 1.0
+# In shares of the ground's brightness: the faintest darkness, and the most uneven ground.
+_FAINTEST, _MOST_UNEVEN = 0.3, 0.12
+_FEWEST_STRIPS = 12
+# A normal blur takes so many standard deviations from a quarter to three quarters.
+_QUARTILES = 1.349
+
+# The sun is searched in these steps.
+_TURNS_RAD = np.radians(np.arange(0, 360, 5))
+_LENGTHS_M = np.arange(0.1, 4.0, 0.1)
+# Under the outline, and at most: what lies farther off says no more.
+_NO_SHADOW_M, _LARGEST_MISS_M = 0.1, 0.6
+# Share of the misfit that a shadow to one side has to explain.
+_LEAST_GAIN = 0.03
+_RESAMPLES = 60
+_LARGEST_SD_RAD = math.radians(30)
+_ELEVATION_SD_RAD = math.radians(3)
+_LOWEST_RAD, _HIGHEST_RAD = math.radians(8), math.radians(80)
 
 Array = NDArray[np.float64]
 _Vehicles = Mapping[str, Sequence[RemovedVehicle]]
 
 
-def shared_sun(suns: Sequence[SunEstimate]) -> SunEstimate | None:
-    """Returns the median of at least 3 suns whose azimuths lie within 20 degrees of it, else None.
-
-    Its standard deviations combine their errors and their differences.
-    """
-    if len(suns) < FEWEST_TO_SHARE:
-        return None
-    azimuths_rad = np.array([sun.azimuth_rad for sun in suns])
-    elevations_rad = np.array([sun.elevation_rad for sun in suns])
-    # The median on a circle is the azimuth with the least sum of turns to the others.
-    turns_rad = turned(azimuths_rad[None] - azimuths_rad[:, None])
-    middle = int(np.abs(turns_rad).sum(1).argmin())
-    if np.abs(turns_rad[middle]).max() > WITHIN_RAD:
-        return None
-    elevation_rad = float(np.median(elevations_rad))
-    off_rad = elevations_rad - elevation_rad
-    return SunEstimate(
-        azimuth_rad=round(float(azimuths_rad[middle]) % (2 * math.pi), 4),
-        elevation_rad=round(elevation_rad, 4),
-        azimuth_sd_rad=_deviation([sun.azimuth_sd_rad for sun in suns], turns_rad[middle]),
-        elevation_sd_rad=_deviation([sun.elevation_sd_rad for sun in suns], off_rad),
-        known_from=KNOWN_FROM,
-    )
-
-
-def turned(angles_rad: Array) -> Array:
-    """Returns angles from -pi to pi."""
-    return (angles_rad + math.pi) % (2 * math.pi) - math.pi
-
-
-def _deviation(own_rad: Sequence[float], differences_rad: Array) -> float:
-    spread_rad = float(np.sqrt(np.mean(np.square(differences_rad))))
-    return round(math.hypot(float(np.median(own_rad)), spread_rad), 4)
-
-
-@dataclass(frozen=True)
-class Footprints:
-    """The ground that vehicles cover: boxes as if they headed right, and their headings."""
-
-    boxes: Boxes
-    headings_rad: tuple[float, ...]
-
-    @classmethod
-    def of(cls, vehicles: Sequence[RemovedVehicle], gsd_m: float) -> Footprints:
-        """Takes the vehicles with known heading and sides."""
-        boxes, headings_rad = [], []
-        for one in vehicles:
-            if one.heading_rad is None or one.length_m is None or one.width_m is None:
-                continue
-            x, y = one.length_m / gsd_m / 2, one.width_m / gsd_m / 2
-            boxes.append((one.x_px - x, one.y_px - y, one.x_px + x, one.y_px + y))
-            headings_rad.append(one.heading_rad)
-        return cls(torch.tensor(boxes, dtype=torch.float32).reshape(-1, 4), tuple(headings_rad))
-
-
 def measured_lights(
     backgrounds: BackgroundSet, tiles: Sequence[BackgroundTile], vehicles: _Vehicles
 ) -> dict[str, Light]:
-    """Measures each photograph's light: sun and sky by vehicles' shadows, the rest by its ground.
+    """Measures the light of each photograph; those of one flight share it.
 
-    A sun of a date and time stays. If vehicles cast no shadow, all light is the sky's. A sun that
-    they do not show is the `shared_sun` of the set's other photographs, unless three of them are
-    overcast for each that has a sun, because vehicles that stand alike may imitate a sun.
+    The exposure is that of the flight's ground. If the shadows of its vehicles end softly, all
+    light is the sky's. If they end sharply and to one side, they give the sun, unless it is known
+    by date and time. Otherwise the sun stays unknown.
     """
-    lights = {
-        name: _light_by_vehicles(backgrounds, of_picture, vehicles)
-        for name, of_picture in by_picture(tiles).items()
-    }
-    sunny = [light for light in lights.values() if light.sky != OVERCAST_SKY]
-    suns = [light.sun for light in sunny if light.sun is not None]
-    under_clouds = len(lights) - len(sunny) >= FEWEST_TO_SHARE * max(1, len(suns))
-    change: dict[str, Any] = {"sky": OVERCAST_SKY} if under_clouds else {"sun": shared_sun(suns)}
-    for name, light in lights.items():
-        if light.sun is None and light.sky != OVERCAST_SKY:
-            lights[name] = replace(light, **change)
+    lights: dict[str, Light] = {}
+    for of_flight in by_flight(tiles):
+        change: dict[str, Any] = {}
+        middles_px = {
+            tile.id: torch.tensor([(o.x_px, o.y_px) for o in vehicles[tile.id]]).reshape(-1, 2)
+            for tile in of_flight
+        }
+        # A flight may be too plain, as it was when it was cut.
+        with suppress(ImageryError):
+            found = exposure_of(backgrounds, of_flight, middles_px)
+            change = {"white": found.white, "black": found.black}
+        edges = _edges_of_flight(backgrounds, of_flight, vehicles)
+        sharpness_px = (of_flight[0].sensor or backgrounds.sensor).blur_sigma_px
+        hard = casts_hard_shadows(edges, blur_m=sharpness_px * backgrounds.gsd_m)
+        sun = estimate_sun(edges) if hard else None
+        if hard is False:
+            change["sky"] = OVERCAST_SKY
+        for tile in of_flight:
+            known = tile.light or backgrounds.light
+            lit = replace(known, sun=known.sun or sun, **change)
+            lights.setdefault(picture_of(tile), lit)
     return lights
 
 
@@ -156,130 +106,132 @@ def lights_record(lights: Mapping[str, Light]) -> dict[str, Any]:
     }
 
 
-def _light_by_vehicles(
+def _edges_of_flight(
     backgrounds: BackgroundSet, tiles: Sequence[BackgroundTile], vehicles: _Vehicles
-) -> Light:
-    """Measures the light of a picture by its ground and its vehicles."""
-    gsd_m = backgrounds.gsd_m
-    known = tiles[0].light or backgrounds.light
-    middles_px = {
-        tile.id: torch.tensor([(one.x_px, one.y_px) for one in vehicles[tile.id]]).reshape(-1, 2)
-        for tile in tiles
-    }
-    # A picture may be too plain, as it was when it was cut.
-    with suppress(ImageryError):
-        found = exposure_of(backgrounds, tiles, middles_px)
-        known = replace(known, white=found.white, black=found.black)
-    shown = {tile.id: Footprints.of(vehicles[tile.id], gsd_m) for tile in tiles}
-    profiles = enough_profiles(
-        darkness_profiles(backgrounds.pixels(name), one.boxes, one.headings_rad, gsd_m=gsd_m)
-        for name, one in shown.items()
-    )
-    if casts_no_shadow(profiles):
-        return replace(known, sky=OVERCAST_SKY)
-    sun = known.sun or estimate_sun(profiles)
-    if sun is None:
-        return known
-    ratios = (
-        shadow_light(backgrounds.pixels(name), one, sun, known, gsd_m=gsd_m)
-        for name, one in shown.items()
-    )
-    return with_sky(replace(known, sun=sun), ratios)
+) -> Array:
+    """Measures the edges beside up to 300 vehicles, evenly over the flight's tiles."""
+    count = sum(len(vehicles[tile.id]) for tile in tiles)
+    every = max(1, math.ceil(count / SAMPLE_LIMIT))
+    rows, before = [np.zeros((0, 4))], 0
+    for tile in tiles:
+        chosen = [*range(-before % every, len(vehicles[tile.id]), every)]
+        if chosen:
+            image = backgrounds.pixels(tile.id)
+            edges = shadow_edges(image, vehicles[tile.id], chosen, gsd_m=backgrounds.gsd_m)
+            edges[:, 0] += before
+            rows.append(edges)
+        before += len(vehicles[tile.id])
+    return np.concatenate(rows)
 
 
-def casts_no_shadow(profiles: Iterable[Float[Tensor, "_ directions layers"]]) -> bool:
-    """Tells whether at least 3 vehicles have no dark side, as under an overcast sky."""
-    stacked = stack_profiles(profiles)
-    return len(stacked) >= FEWEST_VEHICLES and _side(stacked)[2] < FAINTEST_SHADOW
+def shadow_edges(
+    image: Pixels, vehicles: Sequence[RemovedVehicle], chosen: Sequence[int], *, gsd_m: float
+) -> Array:
+    """Measures where the darkness beside the chosen vehicles ends, on strips of even ground.
 
-
-def estimate_sun(profiles: Iterable[Float[Tensor, "_ directions layers"]]) -> SunEstimate | None:
-    """Estimates the place of the sun from the `darkness_profiles` of boxes with their headings.
-
-    The elevation follows from the end of the shadow of a vehicle of 1.5 m. It is None with fewer
-    than 3 vehicles, without clear shadows, or with an azimuth uncertain by 30 degrees (bootstrap).
+    A row is the vehicle's number, the direction of the strip in radians from x (right) towards up,
+    the distance in metres of the end from the vehicle's side, and the metres in which the
+    brightness rises from a quarter to three quarters of the way to the ground's, `[n, 4]`.
     """
-    stacked = stack_profiles(profiles)
-    if len(stacked) < FEWEST_VEHICLES:
+    light = srgb_to_linear(image.double() / 255).mean(0).numpy()
+    rows = []
+    for number in chosen:
+        one = vehicles[number]
+        if one.heading_rad is None or one.length_m is None or one.width_m is None:
+            continue
+        sides = ((one.width_m, one.length_m), (one.length_m, one.width_m))
+        for side in range(4):
+            across_m, along_m = sides[side % 2]
+            normal_rad = one.heading_rad + (side + 1) * math.pi / 2
+            x, y = math.cos(normal_rad), math.sin(normal_rad)
+            # Middles of the strips, places along them, and lines that are averaged.
+            middles_m = np.arange(_CORNER_M - along_m / 2, along_m / 2 - _CORNER_M + 0.1, _STRIP_M)
+            aside_m = middles_m[:, None, None] + _ACROSS_M
+            reach_m = (across_m / 2 + _OUTWARD_M)[:, None]
+            places_px = (
+                one.y_px - (reach_m * y + aside_m * x) / gsd_m - 0.5,
+                one.x_px + (reach_m * x - aside_m * y) / gsd_m - 0.5,
+            )
+            strips = ndimage.map_coordinates(light, places_px, order=1, cval=math.nan).mean(2)
+            found = (edge for edge in map(_edge, strips) if edge is not None)
+            rows += [(number, normal_rad, *edge) for edge in found]
+    return np.array(rows, dtype=np.float64).reshape(-1, 4)
+
+
+def _edge(brightness: Array) -> tuple[float, float] | None:
+    """Returns how far from the side the darkness of a strip ends, and how long its end takes.
+
+    It is None without a darkness of at least 0.3, or without a metre of even ground beyond it.
+    """
+    outside = brightness[_OUTWARD_M > 0]
+    level = np.quantile(outside[np.isfinite(outside)], 0.75) if np.isfinite(outside).any() else 0
+    if level <= 0:
         return None
-    azimuth_rad, profile, contrast = _side(stacked)
-    length_m = _length_m(profile)
-    if contrast < FAINTEST_SHADOW or length_m is None:
+    share = brightness / level
+    darkest = int(np.argmin(np.nan_to_num(share[_OUTWARD_M < _DARKEST_WITHIN_M], nan=1.0)))
+    depth = 1 - share[darkest]
+    begins, ends = (darkest + _first(share[darkest:] > 1 - part * depth) for part in (0.75, 0.25))
+    beyond = share[ends : ends + round(_BEYOND_M / _STEP_M)]
+    even = len(beyond) == round(_BEYOND_M / _STEP_M) and beyond.std() < _MOST_UNEVEN
+    if depth < _FAINTEST or not even or abs(beyond.mean() - 1) > _MOST_UNEVEN:
         return None
+    return float(_OUTWARD_M[ends]), (ends - begins) * _STEP_M
+
+
+def _first(true: NDArray[np.bool_]) -> int:
+    """Returns the first place that is true, or the length."""
+    return int(true.argmax()) if true.any() else len(true)
+
+
+def casts_hard_shadows(edges: Array, *, blur_m: float) -> bool | None:
+    """Tells whether the median of the `shadow_edges` is sharp; None if they cannot tell.
+
+    The blur, a standard deviation, is the photograph's own. Too few vehicles cannot tell, nor can
+    a photograph that blurs every edge as much as clouds do.
+    """
+    own_m = _QUARTILES * blur_m
+    if len(edges) < _FEWEST_STRIPS or len({*edges[:, 0]}) < FEWEST_VEHICLES or own_m > HARD_M:
+        return None
+    return bool(np.median(edges[:, 3]) < math.hypot(HARD_M, own_m))
+
+
+def estimate_sun(edges: Array) -> SunEstimate | None:
+    """Estimates the place of the sun from the `shadow_edges` of vehicles.
+
+    A shadow ends farther from the sides that turn away from the sun, by the cosine of the turn and
+    the cotangent of the elevation. It is None if no such shadow explains the ends, or if the
+    azimuth is uncertain by 30 degrees (bootstrap over vehicles).
+    """
+    vehicles, of_vehicle = np.unique(edges[:, 0], return_inverse=True)
+    if len(vehicles) < FEWEST_VEHICLES:
+        return None
+    misses = np.zeros((len(vehicles), len(_TURNS_RAD), len(_LENGTHS_M)))
+    without = np.zeros((len(vehicles), len(_LENGTHS_M)))
+    for row, (_, normal_rad, end_m, _) in zip(of_vehicle, edges, strict=True):
+        towards = np.maximum(np.cos(normal_rad - _TURNS_RAD), 0)[:, None]
+        miss_m = np.abs(end_m - _NO_SHADOW_M - towards * _LENGTHS_M)
+        misses[row] += np.minimum(miss_m, _LARGEST_MISS_M)
+        without[row] += np.minimum(np.abs(end_m - _LENGTHS_M), _LARGEST_MISS_M)
+
+    def best(total: Array) -> tuple[int, int]:
+        turn, length = np.unravel_index(int(total.argmin()), total.shape)
+        return int(turn), int(length)
+
+    total = misses.sum(0)
+    turn, length = best(total)
     rng = np.random.default_rng(0)
-    draws = (rng.integers(len(stacked), size=len(stacked)) for _ in range(_RESAMPLES))
-    errors_rad = turned(np.array([_side(stacked[draw])[0] for draw in draws]) - azimuth_rad)
+    draws = rng.integers(len(vehicles), size=(_RESAMPLES, len(vehicles)))
+    errors_rad = np.array([_TURNS_RAD[best(misses[draw].sum(0))[0]] for draw in draws])
+    errors_rad = (errors_rad - _TURNS_RAD[turn] + math.pi) % (2 * math.pi) - math.pi
     azimuth_sd_rad = float(np.sqrt(np.mean(np.square(errors_rad))))
-    if azimuth_sd_rad > _LARGEST_SD_RAD:
+    explained = total.min() < (1 - _LEAST_GAIN) * without.sum(0).min()
+    if not explained or azimuth_sd_rad > _LARGEST_SD_RAD:
         return None
-    elevation_rad = math.atan2(HEIGHT_M, length_m)
+    elevation_rad = math.atan2(SHADOW_HEIGHT_M, float(_LENGTHS_M[length]))
     return SunEstimate(
-        azimuth_rad=round(azimuth_rad % (2 * math.pi), 4),
+        azimuth_rad=round((float(_TURNS_RAD[turn]) + math.pi) % (2 * math.pi), 4),
         elevation_rad=round(min(max(elevation_rad, _LOWEST_RAD), _HIGHEST_RAD), 4),
         azimuth_sd_rad=round(azimuth_sd_rad, 4),
         elevation_sd_rad=round(_ELEVATION_SD_RAD, 4),
-        known_from=f"shadows of {len(stacked)} vehicles",
+        known_from=f"shadows of {len(vehicles)} vehicles",
     )
-
-
-def shadow_light(
-    image: Pixels, vehicles: Footprints, sun: SunEstimate, light: Light, *, gsd_m: float
-) -> Float[Tensor, "m 3"]:
-    """Measures the share of red, green and blue light in the shadow of each vehicle, `[m, 3]`.
-
-    It compares the ground next to the vehicle with that on its other side, less the black.
-    """
-    linear = srgb_to_linear(image.double() / 255) - torch.tensor(light.black)[:, None, None]
-    values = linear.clamp(min=0.0).numpy()
-    taken = covered_ground(vehicles.boxes, vehicles.headings_rad, values.shape[1:])
-    # Rows run down, so the shadow's way is (-cos, sin) there.
-    way = (-math.cos(sun.azimuth_rad), math.sin(sun.azimuth_rad))
-    across = (-way[0], -way[1])
-    to_m = max(_TO_SHARE * HEIGHT_M / math.tan(sun.elevation_rad), 2 * _FROM_M)
-    ratios = []
-    for box, turn_rad in zip(vehicles.boxes.tolist(), vehicles.headings_rad, strict=True):
-        rows, columns = window_around(box, to_m / gsd_m, taken.shape, turn_rad)
-        free = ~taken[rows, columns]
-        sides = []
-        for direction in (way, across):
-            distance_m = arrival(box, direction, rows, columns, turn_rad) * gsd_m
-            chosen = free & (distance_m > _FROM_M) & (distance_m < to_m)
-            if chosen.sum() < _FEWEST_PIXELS:
-                break
-            sides.append(np.median(values[:, rows, columns][:, chosen], axis=1))
-        if len(sides) == 2:
-            ratios.append(sides[0] / np.maximum(sides[1], 1e-4))
-    return torch.tensor(np.array(ratios).reshape(-1, 3), dtype=torch.float32)
-
-
-def with_sky(light: Light, ratios: Iterable[Float[Tensor, "_ 3"]]) -> Light:
-    """Returns the light with the sky's share in the median vehicle's shadow, if at least 3 show it.
-
-    The light stays unless the sun is below 60 degrees by two standard deviations: above, hardly any
-    shadow lies beside a vehicle.
-    """
-    sun = light.sun
-    if sun is None or sun.elevation_rad + 2 * sun.elevation_sd_rad > _HIGHEST_FOR_SKY_RAD:
-        return light
-    rows = torch.cat([torch.zeros(0, 3), *ratios])
-    if len(rows) < FEWEST_VEHICLES:
-        return light
-    left = (rows.median(0).values / _SKY_LEFT).tolist()
-    return replace(light, sky=rounded_levels(min(max(each, 0.05), 1.0) for each in left))
-
-
-def _side(stacked: Array) -> tuple[float, Array, float]:
-    """Returns the sun's azimuth, the darkness by layer on the shadow's side, and the contrast."""
-    (x, y), profile, contrast = shadow_side(stacked, _NEAR_M)
-    return math.atan2(y, -x), profile, contrast
-
-
-def _length_m(profile: Array) -> float | None:
-    """Returns a shadow's length; None without an end."""
-    peak = int(profile[: round(NEAR_M / LAYER_M)].argmax())
-    end = END_SHARE * profile[peak]
-    for layer in range(peak, len(profile) - 1):
-        if profile[layer + 1] < end:
-            part = (profile[layer] - end) / (profile[layer] - profile[layer + 1])
-            return _STRETCH * (layer + 0.5 + float(part)) * LAYER_M + _HIDDEN_M
-    return None

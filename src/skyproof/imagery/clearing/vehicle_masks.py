@@ -71,7 +71,7 @@ def vehicle_mask(
 
 
 def darkness_profiles(
-    image: Pixels, boxes: Boxes, headings_rad: Sequence[float] | None = None, *, gsd_m: float
+    image: Pixels, boxes: Boxes, *, gsd_m: float
 ) -> Float[Tensor, "n directions layers"]:
     """Measures how dark the ground beside each box is, by direction and by layer outwards.
 
@@ -79,20 +79,22 @@ def darkness_profiles(
     brightness / median brightness within 4 m, cut to [-0.5, 1], or nan without free pixels.
     """
     grey = image.double().mean(0).numpy()
-    turns = [0.0] * len(boxes) if headings_rad is None else headings_rad
-    taken = covered_ground(boxes, turns, grey.shape)
+    taken = np.zeros(grey.shape, dtype=bool)
+    for box in boxes.tolist():
+        rows, columns = window_around(box, 0.0, grey.shape)
+        taken[rows, columns] |= arrival(box, (1.0, 0.0), rows, columns) == 0
     profiles = np.full((len(boxes), DIRECTIONS, LAYERS), np.nan)
-    for profile, box, turn_rad in zip(profiles, boxes.tolist(), turns, strict=True):
-        rows, columns = window_around(box, LONGEST_SHADOW_M / gsd_m, grey.shape, turn_rad)
+    for profile, box in zip(profiles, boxes.tolist(), strict=True):
+        rows, columns = window_around(box, LONGEST_SHADOW_M / gsd_m, grey.shape)
         free, values = ~taken[rows, columns], grey[rows, columns]
-        near = window_around(box, 4 / gsd_m, grey.shape, turn_rad)
+        near = window_around(box, 4 / gsd_m, grey.shape)
         around = grey[near][~taken[near]]
         if around.size < 50:
             continue
         ground = max(float(np.median(around)), 1.0)
         darkness = np.clip(1 - values / ground, -0.5, 1)
         for number in range(DIRECTIONS):
-            arrival_m = arrival(box, _unit(number), rows, columns, turn_rad) * gsd_m
+            arrival_m = arrival(box, _unit(number), rows, columns) * gsd_m
             counted = free & (arrival_m > 0) & (arrival_m < LONGEST_SHADOW_M)
             layer = (arrival_m[counted] / LAYER_M).astype(int)
             number_in = np.bincount(layer, minlength=LAYERS)
@@ -107,10 +109,10 @@ def estimate_shadow(profiles: Iterable[Float[Tensor, "_ directions layers"]]) ->
     It has no direction if no side is darker than the one across, as under an overcast sky, or if it
     does not end within 6 m, as that of trees.
     """
-    stacked = stack_profiles(profiles)
+    stacked = _stack_profiles(profiles)
     if len(stacked) < FEWEST_VEHICLES:
         return None
-    (x, y), profile, contrast = shadow_side(stacked, NEAR_M)
+    (x, y), profile, contrast = _shadow_side(stacked)
     peak = int(profile[: round(NEAR_M / LAYER_M)].argmax())
     ends = np.nonzero(profile[peak:] < END_SHARE * profile[peak])[0]
     # A darkness without an end is that of a road's side or of trees along it.
@@ -121,34 +123,20 @@ def estimate_shadow(profiles: Iterable[Float[Tensor, "_ directions layers"]]) ->
     return Shadow(direction, min(reach_m, LONGEST_SHADOW_M), contrast, len(stacked))
 
 
-def enough_profiles(
-    profiles: Iterable[Float[Tensor, "_ directions layers"]],
-) -> list[Float[Tensor, "_ directions layers"]]:
-    """Takes profiles until they hold as many vehicles as `stack_profiles` stacks."""
-    taken: list[Tensor] = []
-    vehicles = 0
-    for of_tile in profiles:
-        taken.append(of_tile)
-        vehicles += int(of_tile.isfinite().any((1, 2)).sum())
-        if vehicles >= SAMPLE_LIMIT:
-            break
-    return taken
-
-
-def stack_profiles(profiles: Iterable[Float[Tensor, "_ directions layers"]]) -> Array:
+def _stack_profiles(profiles: Iterable[Float[Tensor, "_ directions layers"]]) -> Array:
     """Stacks the profiles of up to 300 vehicles with free ground, `[n, directions, layers]`."""
     every = [tensor.double().numpy() for tensor in profiles]
     stacked = np.concatenate([np.zeros((0, DIRECTIONS, LAYERS)), *every])
     return stacked[np.isfinite(stacked).any((1, 2))][:SAMPLE_LIMIT]
 
 
-def shadow_side(stacked: Array, near_m: float) -> tuple[tuple[float, float], Array, float]:
-    """Finds the side of the boxes on which the ground within `near_m` is dark, in the median.
+def _shadow_side(stacked: Array) -> tuple[tuple[float, float], Array, float]:
+    """Finds the side of the boxes on which the ground within 1 m is dark, in the median.
 
     It returns the sum of all directions, weighted by darkness, then the darkness by layer on that
     side, and near the boxes, both less those of the side across.
     """
-    near_layers = round(near_m / LAYER_M)
+    near_layers = round(NEAR_M / LAYER_M)
     near = _median_of(stacked[:, :, :near_layers].reshape(len(stacked), -1))
     near = near.reshape(DIRECTIONS, -1).mean(1)
     units = np.array([_unit(number) for number in range(DIRECTIONS)])
@@ -169,56 +157,32 @@ def _unit(number: int) -> tuple[float, float]:
     return math.cos(angle), math.sin(angle)
 
 
-def covered_ground(
-    boxes: Boxes, headings_rad: Sequence[float], size_px: tuple[int, ...]
-) -> NDArray[np.bool_]:
-    """Tells for each pixel of a picture of that height and width whether a turned box covers it."""
-    covered = np.zeros(size_px, dtype=bool)
-    for box, turn_rad in zip(boxes.tolist(), headings_rad, strict=True):
-        rows, columns = window_around(box, 0.0, size_px, turn_rad)
-        covered[rows, columns] |= arrival(box, (1.0, 0.0), rows, columns, turn_rad) == 0
-    return covered
-
-
 def window_around(
-    box: Sequence[float], margin_px: float, size_px: tuple[int, ...], turn_rad: float = 0.0
+    box: Sequence[float], margin_px: float, size_px: tuple[int, ...]
 ) -> tuple[slice, slice]:
-    """Returns the rows and columns around a box that is turned about its middle."""
+    """Returns the rows and columns around a box."""
     left, top, right, bottom = box
-    cosine, sine = abs(math.cos(turn_rad)), abs(math.sin(turn_rad))
-    across = margin_px + ((right - left) * cosine + (bottom - top) * sine) / 2
-    down = margin_px + ((right - left) * sine + (bottom - top) * cosine) / 2
-    middles = (((top + bottom) / 2, down, size_px[0]), ((left + right) / 2, across, size_px[1]))
     rows, columns = (
-        slice(max(0, math.floor(at - reach)), max(0, min(size, math.ceil(at + reach))))
-        for at, reach, size in middles
+        slice(max(0, math.floor(low - margin_px)), max(0, min(size, math.ceil(high + margin_px))))
+        for low, high, size in ((top, bottom, size_px[0]), (left, right, size_px[1]))
     )
     return rows, columns
 
 
 def arrival(
-    box: Sequence[float],
-    direction: tuple[float, float],
-    rows: slice,
-    columns: slice,
-    turn_rad: float = 0.0,
+    box: Sequence[float], direction: tuple[float, float], rows: slice, columns: slice
 ) -> Array:
-    """Returns how far a turned box must move until it covers each pixel centre; infinity if never.
+    """Returns how far a box must move until it covers each pixel centre; infinity if never.
 
-    It is 0 inside. The box is turned about its middle.
+    It is 0 inside.
     """
     left, top, right, bottom = box
     half = ((right - left) / 2, (bottom - top) / 2)
     x = np.arange(columns.start, columns.stop)[None, :] + 0.5 - (left + right) / 2
     y = np.arange(rows.start, rows.stop)[:, None] + 0.5 - (top + bottom) / 2
-    # Rows run down, so the box's own axes are (cos, -sin) and (sin, cos).
-    cosine, sine = math.cos(turn_rad), math.sin(turn_rad)
     first = np.zeros((rows.stop - rows.start, columns.stop - columns.start))
     last = np.full_like(first, np.inf)
-    for places, reach, speed in (
-        (cosine * x - sine * y, half[0], cosine * direction[0] - sine * direction[1]),
-        (sine * x + cosine * y, half[1], sine * direction[0] + cosine * direction[1]),
-    ):
+    for places, reach, speed in zip((x, y), half, direction, strict=True):
         if abs(speed) < 1e-9:
             outside = abs(places) > reach
             first = np.where(outside, np.inf, first)

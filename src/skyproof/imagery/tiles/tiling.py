@@ -18,6 +18,7 @@ from skyproof.documents import read_document
 from skyproof.errors import ImageryError
 from skyproof.files import write_json
 from skyproof.imagery.drivable import drivable_directions
+from skyproof.imagery.flights import flights_of
 from skyproof.imagery.labels.label import ImageLabels, Labels
 from skyproof.imagery.photographs import lit_tiles, measure_sensor, some_of, sun_over
 from skyproof.imagery.settings import LabelSettings, SourceSettings, TilingSettings
@@ -130,11 +131,13 @@ def tile_imagery(
         suns = {name: sun_over(cell, taken) for name, cell in cells.items() if taken}
         placed = None if labels is None else PlacedLabels(*labels, sources, [*cells.values()])
         notes += placed.notes if placed is not None else []
+        flights = flights_of(sources)
         for done, cell in enumerate(cells.values(), 1):
             image = read_cell(cell, sources, reader)
             if image is not None:
                 tile, annotations[cell.id] = _cut_tile(folder, cell, image, sources, placed)
-                tiles.append(tile)
+                flight = flights[int(image.owner.max())]
+                tiles.append(dataclasses.replace(tile, flight=flight))
             if progress is not None:
                 progress(done, len(cells))
     # Too little imagery is refused before anything else is written.

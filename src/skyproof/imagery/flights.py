@@ -1,0 +1,44 @@
+"""Groups photographs that were taken on one flight, and so share their light."""
+
+import re
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from datetime import datetime, timedelta
+from pathlib import Path
+
+from skyproof.imagery.tiles.sources import Source
+from skyproof.scenes.background_index import BackgroundTile
+
+LONGEST_PAUSE = timedelta(hours=1)
+"""The sun turns by 15 degrees an hour, as much as its estimates are off."""
+
+
+def flights_of(sources: Sequence[Source]) -> list[str]:
+    """Names the flight of each source by its first photograph.
+
+    A flight's photographs lie in one folder and one reference system, their names differ in their
+    last number alone, and those that state their time have none an hour earlier or later.
+    """
+    alike: dict[tuple[Path, str, str], list[Source]] = defaultdict(list)
+    for one in sources:
+        series = re.sub(r"\d+$", "", one.path.stem)
+        alike[one.path.resolve().parent, str(one.georeference.crs), series].append(one)
+    flights: dict[Path, str] = {}
+    for series in alike.values():
+        name, before = series[0].path.name, None
+        for one in sorted(series, key=lambda each: each.exif.taken or datetime.min):
+            taken = one.exif.taken
+            if before is not None and taken is not None and taken - before > LONGEST_PAUSE:
+                name = one.path.name
+            before = taken or before
+            flights[one.path] = name
+    return [flights[one.path] for one in sources]
+
+
+def by_flight(tiles: Iterable[BackgroundTile]) -> list[list[BackgroundTile]]:
+    """Groups the tiles of imagery by their flight, or else source; drawn tiles are skipped."""
+    groups: dict[str, list[BackgroundTile]] = defaultdict(list)
+    for tile in tiles:
+        if tile.kind is None:
+            groups[tile.flight or tile.source].append(tile)
+    return [*groups.values()]
