@@ -19,14 +19,14 @@ def flights_of(sources: Sequence[Source]) -> list[str]:
     A flight's photographs lie in one folder and one reference system, their names differ in their
     last number alone, and those that state their time have none an hour earlier or later.
     """
-    alike: dict[tuple[Path, str, str], list[Source]] = defaultdict(list)
+    series: dict[tuple[Path, str, str], list[Source]] = defaultdict(list)
     for one in sources:
-        series = re.sub(r"\d+$", "", one.path.stem)
-        alike[one.path.resolve().parent, str(one.georeference.crs), series].append(one)
+        stem = re.sub(r"\d+$", "", one.path.stem)
+        series[one.path.resolve().parent, str(one.georeference.crs), stem].append(one)
     flights: dict[Path, str] = {}
-    for series in alike.values():
-        name, before = series[0].path.name, None
-        for one in sorted(series, key=lambda each: each.exif.taken or datetime.min):
+    for alike in series.values():
+        name, before = alike[0].path.name, None
+        for one in sorted(alike, key=lambda each: each.exif.taken or datetime.min):
             taken = one.exif.taken
             if before is not None and taken is not None and taken - before > LONGEST_PAUSE:
                 name = one.path.name

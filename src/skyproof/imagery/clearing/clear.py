@@ -114,8 +114,8 @@ def clear_backgrounds(
     Labelled vehicles, ignored objects, and the detections of `finder` are removed. Without a
     finder, unlabelled regions are filled as a whole. Tiles on which `checker` still finds a vehicle
     are repaired, and left out if that does not help. Every tile keeps the places of its vehicles, a
-    new map of drivable ground, and the sun and sky by the shadows of vehicles. A contact sheet
-    shows the changes. Use `finished_folder` around `out`. `fill` fills a mask of a tile and leaves
+    new map of drivable ground, and the light by the shadows of vehicles. A contact sheet shows
+    the changes. Use `finished_folder` around `out`. `fill` fills a mask of a tile and leaves
     every byte outside it. `progress` gets ("find" or "clear", tiles done, tiles in all).
 
     Raises:
