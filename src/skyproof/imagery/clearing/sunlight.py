@@ -53,8 +53,6 @@ _TURNS_RAD = np.radians(np.arange(0, 360, 5))
 _LENGTHS_M = np.arange(0.1, 4.0, 0.1)
 # Under the outline, and at most: what lies farther off says no more.
 _NO_SHADOW_M, _LARGEST_MISS_M = 0.1, 0.6
-# Share of the misfit that a shadow to one side has to explain.
-_LEAST_GAIN = 0.03
 _RESAMPLES = 60
 _LARGEST_SD_RAD = math.radians(30)
 _ELEVATION_SD_RAD = math.radians(3)
@@ -199,19 +197,17 @@ def estimate_sun(edges: Array) -> SunEstimate | None:
     """Estimates the place of the sun from the `shadow_edges` of vehicles.
 
     A shadow ends farther from the sides that turn away from the sun, by the cosine of the turn and
-    the cotangent of the elevation. It is None if no such shadow explains the ends, or if the
-    azimuth is uncertain by 30 degrees (bootstrap over vehicles).
+    the cotangent of the elevation. It is None if the azimuth is uncertain by 30 degrees (bootstrap
+    over vehicles).
     """
     vehicles, of_vehicle = np.unique(edges[:, 0], return_inverse=True)
     if len(vehicles) < FEWEST_VEHICLES:
         return None
     misses = np.zeros((len(vehicles), len(_TURNS_RAD), len(_LENGTHS_M)))
-    without = np.zeros((len(vehicles), len(_LENGTHS_M)))
     for row, (_, normal_rad, end_m, _) in zip(of_vehicle, edges, strict=True):
         towards = np.maximum(np.cos(normal_rad - _TURNS_RAD), 0)[:, None]
         miss_m = np.abs(end_m - _NO_SHADOW_M - towards * _LENGTHS_M)
         misses[row] += np.minimum(miss_m, _LARGEST_MISS_M)
-        without[row] += np.minimum(np.abs(end_m - _LENGTHS_M), _LARGEST_MISS_M)
 
     def best(total: Array) -> tuple[int, int]:
         turn, length = np.unravel_index(int(total.argmin()), total.shape)
@@ -224,8 +220,7 @@ def estimate_sun(edges: Array) -> SunEstimate | None:
     errors_rad = np.array([_TURNS_RAD[best(misses[draw].sum(0))[0]] for draw in draws])
     errors_rad = (errors_rad - _TURNS_RAD[turn] + math.pi) % (2 * math.pi) - math.pi
     azimuth_sd_rad = float(np.sqrt(np.mean(np.square(errors_rad))))
-    explained = total.min() < (1 - _LEAST_GAIN) * without.sum(0).min()
-    if not explained or azimuth_sd_rad > _LARGEST_SD_RAD:
+    if azimuth_sd_rad > _LARGEST_SD_RAD:
         return None
     elevation_rad = math.atan2(SHADOW_HEIGHT_M, float(_LENGTHS_M[length]))
     return SunEstimate(
