@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from skyproof.imagery.drivable import drivable_directions
+from skyproof.scenes.places import RemovedVehicle
 
 GSD_M = 0.125
 SIDE_PX = 320
@@ -47,10 +48,28 @@ def test_a_lane_narrower_than_a_vehicle_is_not_drivable():
     assert not drivable_directions(image, GSD_M).any()
 
 
-def test_without_labels_soil_is_not_drivable_and_a_grey_roof_is():
+def test_without_labels_soil_is_not_drivable_and_a_long_grey_roof_is():
     assert not drivable_directions(street(surface=SOIL)[0], GSD_M).any()
-    image, _, _ = street(angle_rad=0.3, roof=True)
-    assert drivable_directions(image, GSD_M)[20:48, 20:48].any()
+    image, _, _ = street(angle_rad=0.3)
+    image[:, 8:70, :100] = torch.tensor(ASPHALT)[:, None, None]
+    assert drivable_directions(image, GSD_M)[24:54, 30:60].any()
+
+
+def test_ground_whose_edges_disagree_takes_the_heading_of_a_vehicle_nearby_or_none():
+    rng = np.random.default_rng(0)
+    square = torch.from_numpy(rng.normal(120, 2, (3, SIDE_PX, SIDE_PX)).astype(np.uint8))
+    assert not drivable_directions(square, GSD_M).any()
+    heading_rad = math.radians(37)
+    stood = [
+        RemovedVehicle(80.0, 160.0, heading_rad, "label", 4.5, 1.8),
+        RemovedVehicle(240.0, 160.0, None),
+    ]
+    boxes = torch.tensor([[62.0, 148, 98, 172], [222, 148, 258, 172]])
+    directions = drivable_directions(square, GSD_M, boxes, stood)
+    rows, columns = np.nonzero(directions)
+    away_m = GSD_M * np.hypot(columns + 0.5 - 80, rows + 0.5 - 160)
+    assert 5.5 < away_m.max() < 6.5
+    assert set(directions[rows, columns].tolist()) == {38}
 
 
 @pytest.mark.parametrize("surface", [ASPHALT, SOIL])

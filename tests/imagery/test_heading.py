@@ -73,6 +73,18 @@ def test_a_loose_box_still_tells_a_heading_from_its_mirror_image():
     assert max(errors) < 25
 
 
+def test_lines_on_the_vehicle_make_up_for_sides_that_are_off():
+    errors = []
+    rng = np.random.default_rng(0)
+    for number in range(36):
+        heading_rad = math.radians(5 * number + 1)
+        image, box = drawn(heading_rad, seed=number)
+        off = np.array(box) + rng.normal(0, 0.3 / GSD_M, 4)
+        errors.append(off_deg(estimate_stance(image, off, GSD_M)[0], heading_rad))
+    assert np.median(errors) < 2
+    assert np.mean(np.array(errors) < 10) > 0.95
+
+
 def test_a_square_around_a_point_leaves_it_to_the_outline():
     errors = []
     for number in range(18):

@@ -133,12 +133,17 @@ def test_vehicles_are_about_as_long_as_those_that_stood_there(tmp_path, still):
     assert {round(value, 1) for value in lengths[3.5]} == {3.4, 3.6, 3.8, 4.0}
 
 
-def test_a_vehicle_of_unknown_heading_and_length_may_be_any(tmp_path):
-    backgrounds = cleared(tmp_path, [RemovedVehicle(48.0, 48.0)], side_px=96)
+def test_a_place_without_a_heading_is_left_out_and_one_without_a_length_takes_any(tmp_path):
+    known = RemovedVehicle(60.0, 48.0, 0.5, "label")
+    backgrounds = cleared(tmp_path, [RemovedVehicle(36.0, 48.0), known], side_px=96)
     scenes = drawn(backgrounds, 200, size_px=96, vehicles_maximum=1)
-    headings = [scene.placements[0].heading_rad for scene in scenes]
-    assert np.histogram(headings, 4, (0, 2 * math.pi))[0].min() > 30
-    assert {scene.placements[0].vehicle for scene in scenes} == set(SIZES)
+    spots = [(scene.placements[0], scene.background.rotation_rad) for scene in scenes]
+    turns = [spot.heading_rad + turn - 0.5 for spot, turn in spots]
+    assert np.abs(np.sin(turns)).max() < 0.3
+    assert {spot.vehicle for spot, _ in spots} == set(SIZES)
+    unknown = cleared(tmp_path / "other", [RemovedVehicle(48.0, 48.0)], side_px=96)
+    with pytest.raises(ConfigurationError, match="knows no removed vehicles"):
+        drawn(unknown, 1, size_px=96)
 
 
 def test_counts_stay_between_the_limits_and_nothing_overlaps(tmp_path):

@@ -10,6 +10,7 @@ import torch
 from skyproof.errors import ConfigurationError
 from skyproof.scenes.background_index import BackgroundTile
 from skyproof.scenes.backgrounds import BackgroundSet, on_tile
+from skyproof.scenes.places import RemovedVehicle
 from skyproof.scenes.scene import BackgroundWindow, Placement
 from skyproof.scenes.settings import SceneSettings
 from skyproof.scenes.standing import Rectangle, Sizes, footprint, rectangles_overlap
@@ -29,11 +30,11 @@ _POINTS_USED = 64
 
 @dataclass(frozen=True)
 class Place:
-    """A possible place of a vehicle, in metres from the image's middle; None is any heading."""
+    """A possible place of a vehicle, in metres from the image's middle."""
 
     x_m: float
     y_m: float
-    heading_rad: float | None
+    heading_rad: float
     length_m: float | None = None
 
 
@@ -96,8 +97,8 @@ def place_vehicles(draw: SceneDraw) -> tuple[BackgroundWindow, tuple[Placement, 
 def _tiles_with_places(draw: SceneDraw) -> list[BackgroundTile]:
     tiles = draw.backgrounds.window_tiles(draw.split, draw.settings.size_px)
     if draw.settings.places == "removed":
-        tiles = [tile for tile in tiles if tile.removed]
-        what, remedy = "removed vehicles", "clear imagery with skyproof clear"
+        tiles = [tile for tile in tiles if known_places(tile)]
+        what, remedy = "removed vehicles", "clear labelled imagery with skyproof clear"
     else:
         tiles = [tile for tile in tiles if tile.drivable is not None]
         what, remedy = "drivable ground", "draw or cut the ground again with skyproof ground"
@@ -109,16 +110,21 @@ def _tiles_with_places(draw: SceneDraw) -> list[BackgroundTile]:
     return tiles
 
 
+def known_places(tile: BackgroundTile) -> list[RemovedVehicle]:
+    """Lists the vehicles removed from a tile whose heading is known."""
+    return [one for one in tile.removed if one.heading_rad is not None]
+
+
 def _removed_places(tile: BackgroundTile, window: BackgroundWindow, gsd_m: float) -> list[Place]:
     """Gives the places of a tile's removed vehicles in a window's axes; they may lie outside it."""
     cosine, sine = math.cos(window.rotation_rad), math.sin(window.rotation_rad)
     places = []
-    for one in tile.removed:
+    for one in known_places(tile):
         across, down = one.x_px - window.centre_x_px, one.y_px - window.centre_y_px
         # The window's x axis is the tile's turned to the left, so its content turns right.
         x_m, y_m = (cosine * across - sine * down) * gsd_m, -(sine * across + cosine * down) * gsd_m
-        heading_rad = None if one.heading_rad is None else one.heading_rad - window.rotation_rad
-        places.append(Place(x_m, y_m, heading_rad, one.length_m))
+        assert one.heading_rad is not None
+        places.append(Place(x_m, y_m, one.heading_rad - window.rotation_rad, one.length_m))
     return places
 
 
@@ -164,10 +170,8 @@ def _draws(draw: SceneDraw, place: Place) -> Iterator[Placement]:
         names = names[: math.ceil(len(names) * NEAR_LENGTH_SHARE)]
     for _ in range(_VEHICLES_TRIED):
         name = names[int(torch.randint(len(names), (1,), generator=generator))]
-        side, any_way = draw.uniforms(2)
+        (side,) = draw.uniforms(1)
         east, north, turn = torch.randn(3, dtype=torch.float64, generator=generator).tolist()
-        heading_rad = 2 * math.pi * any_way
-        if place.heading_rad is not None:
-            heading_rad = place.heading_rad + TURN_RAD * turn + (math.pi if side < 0.5 else 0.0)
+        heading_rad = place.heading_rad + TURN_RAD * turn + (math.pi if side < 0.5 else 0.0)
         x_m, y_m = place.x_m + SHIFT_M * east, place.y_m + SHIFT_M * north
         yield Placement(name, x_m, y_m, heading_rad % (2 * math.pi))

@@ -20,7 +20,12 @@ from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError, ImageryError, StoredFileError
 from skyproof.files import refuse_links, write_json
 from skyproof.imagery.clearing.exemplar import fill_ground
-from skyproof.imagery.clearing.labelled import TileLabels, read_labels_of_tiles, removed_vehicles
+from skyproof.imagery.clearing.labelled import (
+    TileLabels,
+    detected_vehicles,
+    labelled_vehicles,
+    read_labels_of_tiles,
+)
 from skyproof.imagery.clearing.sheet import ContactSheet, SheetRow
 from skyproof.imagery.clearing.sunlight import lights_record, measured_lights
 from skyproof.imagery.clearing.vehicle_masks import (
@@ -77,12 +82,18 @@ class Cleared:
 
 @dataclass(frozen=True)
 class _Found:
-    """The boxes to remove from a tile, and those of its vehicles alone."""
+    """The boxes to remove from a tile, and the vehicles on it.
+
+    `vehicles` are the boxes of labelled vehicles, None where nobody labelled, and `places` are
+    where they stood. `seen` adds the detector's finds, which may be no vehicles: they help to
+    measure shadows, and never become places.
+    """
 
     labelled: Boxes
     detected: Boxes
-    vehicles: Boxes
-    removed: tuple[RemovedVehicle, ...]
+    vehicles: Boxes | None
+    places: list[RemovedVehicle]
+    seen: list[RemovedVehicle]
     profiles: Float[Tensor, "k directions layers"]
 
     @property
@@ -113,10 +124,10 @@ def clear_backgrounds(
 
     Labelled vehicles, ignored objects, and the detections of `finder` are removed. Without a
     finder, unlabelled regions are filled as a whole. Tiles on which `checker` still finds a vehicle
-    are repaired, and left out if that does not help. Every tile keeps the places of its vehicles, a
-    new map of drivable ground, and the light by the shadows of vehicles. A contact sheet shows
-    the changes. Use `finished_folder` around `out`. `fill` fills a mask of a tile and leaves
-    every byte outside it. `progress` gets ("find" or "clear", tiles done, tiles in all).
+    are repaired, and left out if that does not help. Every tile keeps the places of its labelled
+    vehicles, a new map of drivable ground, and the light by the shadows of vehicles. A contact
+    sheet shows the changes. Use `finished_folder` around `out`. `fill` fills a mask of a tile and
+    leaves every byte outside it. `progress` gets ("find" or "clear", tiles done, tiles in all).
 
     Raises:
         ConfigurationError: there are neither labels nor a finder, or a detector has another
@@ -145,7 +156,7 @@ def clear_backgrounds(
             if progress is not None:
                 progress("find", done, len(tiles))
     shadows = {picture: estimate_shadow(measured) for picture, measured in profiles.items()}
-    lights = measured_lights(backgrounds, tiles, {name: one.removed for name, one in found.items()})
+    lights = measured_lights(backgrounds, tiles, {name: one.seen for name, one in found.items()})
 
     def clear(tile: BackgroundTile) -> tuple[Cleared, SheetRow | None, BackgroundTile | None]:
         picture, one = picture_of(tile), found[tile.id]
@@ -202,11 +213,15 @@ def _find(clearing: _Clearing, tile: BackgroundTile) -> _Found:
         seen = finder.detections(image)
         detected = other_vehicles(seen, labelled)
         labelled = grown_to_what_is_seen(labelled, seen)
+    # Where nobody labelled, the absence of labels does not mean that no vehicle may stand there.
+    told = clearing.labels is not None and (labels.vehicles or not labels.unlabelled)
+    places = labelled_vehicles(image, labels, gsd_m)
     return _Found(
         labelled,
         detected,
-        torch.cat([boxes_of(labels.vehicles), detected]),
-        removed_vehicles(image, labels, detected, gsd_m),
+        boxes_of(labels.vehicles) if told else None,
+        places,
+        places + detected_vehicles(image, detected, gsd_m),
         darkness_profiles(image, torch.cat([labelled, detected]), gsd_m=gsd_m),
     )
 
@@ -219,7 +234,7 @@ def _clear_tile(
 ) -> tuple[Cleared, SheetRow | None, Pixels]:
     """Fills one tile and checks it; returns its picture for the sheet if it changed."""
     checker, gsd_m = clearing.checker, clearing.backgrounds.gsd_m
-    row = Cleared(tile.id, tile.split, len(found.labelled), len(found.detected), len(found.removed))
+    row = Cleared(tile.id, tile.split, len(found.labelled), len(found.detected), len(found.places))
     before = image = clearing.backgrounds.pixels(tile.id)
     mask = torch.zeros(image.shape[1:], dtype=torch.bool)
     boxes, remaining = found.boxes, torch.zeros(0, 4)
@@ -259,12 +274,10 @@ def _stored(
     save_tile(out, tile, image)
     shade = backgrounds.shade(tile.id)
     cover = backgrounds.cover(tile.id)
-    # On an unlabelled tile, the absence of finds does not mean that no vehicle may stand there.
-    stood = found.vehicles if clearing.labels is not None or len(found.vehicles) else None
-    directions = drivable_directions(image, backgrounds.gsd_m, stood)
+    directions = drivable_directions(image, backgrounds.gsd_m, found.vehicles, found.places)
     return replace(
         tile,
-        removed=(*tile.removed, *found.removed),
+        removed=(*tile.removed, *found.places),
         drivable=save_map(out, "drivable", tile.id, directions),
         shade=None if shade is None else save_map(out, "shade", tile.id, shade.numpy()),
         cover=None if cover is None else save_map(out, "cover", tile.id, cover.numpy()),

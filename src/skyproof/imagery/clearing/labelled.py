@@ -1,7 +1,7 @@
 """The labels of tiles to clear, and the headings of their vehicles."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,13 +23,14 @@ LONGEST_M = 30.0
 STEP_RAD = math.radians(2)
 LENGTH_M, LENGTH_SPREAD_M = 4.6, 0.6
 WIDTH_M, WIDTH_SPREAD_M = 1.83, 0.15
-BOX_SPREAD_M = 0.3
+BOX_SPREAD_M = 0.25
 """Mean and standard deviation of vehicles' sides, and the standard deviation of boxes."""
 CORNER_M = 0.3
 """Radius of a vehicle's corners: a turned one has a smaller box."""
-OUTLINE_WEIGHT = 12.0
+LINES_WEIGHT, OUTLINE_WEIGHT = 40.0, 2.0
 END_SHARE = 0.4
-"""Weights of the outline in the picture against the box, and of an end against a long side."""
+"""Weights of lines and outline in the picture against the box, and of an end against a long side.
+"""
 LARGEST_MISFIT = 12.5
 """A box five standard deviations from any vehicle's holds something else."""
 
@@ -61,15 +62,21 @@ def read_labels_of_tiles(folder: Path) -> dict[str, TileLabels] | None:
     return labels if labelled else None
 
 
-def removed_vehicles(
-    image: Pixels, labels: TileLabels, detected: Boxes, gsd_m: float
-) -> tuple[RemovedVehicle, ...]:
-    """Returns places and headings of a tile's vehicles; one cut by the border has no heading."""
-    places = [_labelled_vehicle(image, row, gsd_m) for row in labels.vehicles]
-    for box in detected.tolist():
-        places.append(_pictured_vehicle(image, _between(box[:2], box[2:]), box, gsd_m))
+def labelled_vehicles(image: Pixels, labels: TileLabels, gsd_m: float) -> list[RemovedVehicle]:
+    """Returns places and headings of labelled vehicles; one cut by the border has no heading."""
+    return _on_image(image, (_labelled_vehicle(image, row, gsd_m) for row in labels.vehicles))
+
+
+def detected_vehicles(image: Pixels, detected: Boxes, gsd_m: float) -> list[RemovedVehicle]:
+    """Returns places and headings of detected vehicles, as `labelled_vehicles` does."""
+    boxes = detected.tolist()
+    found = (_pictured_vehicle(image, _between(box[:2], box[2:]), box, gsd_m) for box in boxes)
+    return _on_image(image, found)
+
+
+def _on_image(image: Pixels, vehicles: Iterable[RemovedVehicle]) -> list[RemovedVehicle]:
     height, width = image.shape[1:]
-    return tuple(at for at in places if 0 <= at.x_px <= width and 0 <= at.y_px <= height)
+    return [at for at in vehicles if 0 <= at.x_px <= width and 0 <= at.y_px <= height]
 
 
 def _labelled_vehicle(image: Pixels, row: AnnotationRow, gsd_m: float) -> RemovedVehicle:
@@ -121,9 +128,10 @@ def estimate_stance(
 
     It takes the heading, in steps of 2 degrees, whose rectangle fits best: the box around it must
     have the given width and height (w = l |cos| + b |sin|, less rounded corners), its sides must be
-    a small vehicle's, and the picture must have edges along its outline. Only the outline tells a
-    heading from its mirror image, and shows that of a square box. Errors: docs/imagery.md. The
-    heading runs from x (right) towards up, modulo pi. None: the box fits no small vehicle.
+    a small vehicle's, lines in the box must run along or across it, as sides, roof and panes do,
+    and the picture must have edges along its outline. Lines are exact, but only the outline tells
+    along from across. Errors: docs/imagery.md. The heading runs from x (right) towards up, modulo
+    pi. None: the box fits no small vehicle.
     """
     left, top, right, bottom = box
     width_m, height_m = (right - left) * gsd_m, (bottom - top) * gsd_m
@@ -131,8 +139,8 @@ def estimate_stance(
     lengths, widths, misfits = _sides(headings, width_m, height_m)
     if misfits.min() > LARGEST_MISFIT:
         return None
-    outline = _outline(image, box, gsd_m, headings, lengths, widths)
-    best = int((OUTLINE_WEIGHT * outline - misfits).argmax())
+    lines, outline = _edges(image, box, gsd_m, headings, lengths, widths)
+    best = int((LINES_WEIGHT * lines + OUTLINE_WEIGHT * outline - misfits).argmax())
     return float(headings[best]), float(lengths[best]), float(widths[best])
 
 
@@ -161,15 +169,18 @@ def _sides(headings: _Grid, width_m: float, height_m: float) -> tuple[_Grid, _Gr
     return lengths, widths, misfits / 2
 
 
-def _outline(
+def _edges(
     image: Pixels,
     box: Sequence[float],
     gsd_m: float,
     headings: _Grid,
     lengths: _Grid,
     widths: _Grid,
-) -> _Grid:
-    """Measures the change across each rectangle's outline, relative to the change in the box."""
+) -> tuple[_Grid, _Grid]:
+    """Measures how well lines in the box run along or across each heading, from -1 to 1.
+
+    It also returns the change across each rectangle's outline, relative to the change in the box.
+    """
     left, top, right, bottom = box
     margin_px = 1.2 / gsd_m
     rows = slice(max(0, int(top - margin_px)), math.ceil(bottom + margin_px))
@@ -183,6 +194,12 @@ def _outline(
         slice(max(0, int(left) - columns.start), max(1, math.ceil(right) - columns.start)),
     )
     usual = math.sqrt(float((xx + yy)[within].mean())) + 1e-6
+    # Four times the angle makes along and across the same. Weak lines count, too.
+    turned = (xx - yy + 2j * xy)[within]
+    strengths = np.sqrt(np.abs(turned)) + 1e-12
+    mean = (turned**2 / strengths**3).sum() / strengths.sum()
+    # The angle of a change has y down.
+    lines = (mean * np.exp(4j * headings)).real
     # Points along the four sides, as shares of length and width.
     steps = np.linspace(-0.42, 0.42, 25)
     half = np.full_like(steps, 0.5)
@@ -205,4 +222,4 @@ def _outline(
         change = change + 2 * normal[0] * normal[1] * change_xy
         strength = np.sqrt(np.maximum(change, 0)).mean(1) / usual
         total += (END_SHARE if is_end else 1.0) * strength
-    return total / (2 + 2 * END_SHARE)
+    return lines, total / (2 + 2 * END_SHARE)
