@@ -11,6 +11,7 @@ import torch
 from skyproof.assessment.assess import assess_steps
 from skyproof.assessment.command import Request
 from skyproof.assessment.judging import scored_names, still_open
+from skyproof.assessment.preparing import fleets
 from skyproof.assessment.run import RunEnded
 from skyproof.assessment.subject import Subject
 from skyproof.assessment.suite import DEMO_SUITE, read_suite
@@ -18,7 +19,11 @@ from skyproof.assessment.suite import SUITE as SUITE_FILE
 from skyproof.detectors.answers import BlackBoxDetector
 from skyproof.detectors.card import REFERENCE_DETECTORS, reference_folder
 from skyproof.files import file_digest
+from skyproof.layout import Layout
 from skyproof.results.rows_file import flat_row
+from skyproof.scenes.background_index import BackgroundTile, save_tile, write_index
+from skyproof.scenes.places import RemovedVehicle
+from skyproof.vehicles.fleet import Fleet
 from tests.results.test_likeness import likeness
 
 RUN = Path("run")
@@ -79,6 +84,50 @@ def test_imagery_labels_and_a_detector_folder(folder):
     # The threshold is frozen on other tiles than those on which the detector is checked.
     checked = next(step for step in assess_steps(subject(folder)) if step.kind == "check")
     assert "your imagery=run/tiles/test@0.1" in checked.settings[-1]
+
+
+def ground_with(folder, test, attack):
+    """Cleared ground with so many places; one more of each split has no heading."""
+    tiles = []
+    for split, count in (("test", test), ("attack", attack)):
+        known = [RemovedVehicle(9.0 * n, 30.0, 0.5, "label", 4.5, 1.8) for n in range(count)]
+        removed = (*known, RemovedVehicle(9.0, 60.0))
+        tiles.append(BackgroundTile(split, f"{split}.png", split, 640, 640, "a", removed=removed))
+    folder.mkdir(parents=True)
+    write_index(folder, 0.1, tiles)
+
+
+@pytest.mark.parametrize(
+    ("test", "attack", "places"),
+    [(50, 25, "removed"), (49, 25, "drivable"), (60, 24, "drivable"), (0, 0, "drivable")],
+)
+def test_vehicles_stand_where_labelled_ones_did_if_there_are_enough(
+    folder, tmp_path, monkeypatch, test, attack, places
+):
+    monkeypatch.chdir(tmp_path)
+    ground_with(RUN / "backgrounds", test, attack)
+    assert subject(folder).places == places
+    assert subject(folder, imagery=(), labels=None).places == "uniform"
+
+
+@pytest.mark.parametrize(("vehicles", "own"), [(20, True), (19, False), (0, False)])
+def test_the_fleet_wears_paints_of_enough_labelled_vehicles(
+    folder, tmp_path, monkeypatch, capsys, vehicles, own
+):
+    monkeypatch.chdir(tmp_path)
+    ground_with(RUN / "backgrounds", vehicles, 0)
+    ground_with(RUN / "tiles", 0, 0)
+    for split in ("test", "attack"):
+        image = torch.full((3, 640, 640), 120, dtype=torch.uint8)
+        tile = BackgroundTile(split, f"{split}.png", split, 640, 640, "a")
+        save_tile(RUN / "tiles", tile, image)
+    small = replace(SUITE, vehicles=(1, 1, 1, 3))
+    fleets(subject(folder, suite=small), Layout(RUN)).work()
+    fleet = Fleet.load(RUN / "fleets" / "test")
+    assert [source.get("paint") for source in fleet.sources.values()] == [
+        "of a labelled vehicle"
+    ] * (3 * own)
+    assert ("paints of cars worldwide" in capsys.readouterr().out) != own
 
 
 def test_a_run_stops_where_no_verdict_is_possible_any_more(tmp_path):

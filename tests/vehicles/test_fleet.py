@@ -10,6 +10,7 @@ from safetensors.torch import load_file, save_file
 
 from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
 from skyproof.vehicles.fleet import Fleet, FleetSettings, sample_fleet
+from skyproof.vehicles.vehicle import Part
 
 
 @lru_cache
@@ -32,6 +33,25 @@ def test_the_seed_decides_everything() -> None:
     )
     assert _same(_fleet(), again)
     assert not _same(_fleet(), _fleet(1))
+
+
+def test_paints_of_a_place_are_worn_in_their_shares() -> None:
+    worn = torch.tensor([[0.8, 0.1, 0.1]] * 6 + [[0.1, 0.1, 0.7]] * 2)
+
+    def drawn(count: int, seed: int = 0) -> Fleet:
+        generator = torch.Generator().manual_seed(seed)
+        return sample_fleet(FleetSettings(count=count), worn=worn, generator=generator)
+
+    fleet = drawn(8)
+    bodies = fleet.parts == Part.BODY
+    middles = [fleet.textures[n][:, bodies[n]].float().median(dim=1).values / 255 for n in range(8)]
+    reds = sum(bool((middle - worn[0]).abs().max() < 0.05) for middle in middles)
+    blues = sum(bool((middle - worn[-1]).abs().max() < 0.05) for middle in middles)
+    assert (reds, blues) == (6, 2)
+    assert {each["paint"] for each in fleet.sources.values()} == {"of a labelled vehicle"}
+    assert len(fleet.sources) == 8
+    assert _same(fleet, drawn(8))
+    assert not torch.equal(fleet.textures, drawn(8, seed=1).textures)
 
 
 def test_the_global_seed_does_not_matter() -> None:

@@ -74,7 +74,7 @@ def attack(
         str(name),
         (folder / "camouflage.json",),
         work,
-        (settings, attacked, best_of, its.attack_px, its.places),
+        (settings, attacked, best_of, its.attack_px),
         growing=True,
         effort_s=START_S + ATTACK_S * images * its.attack_px**2 / 1e6,
     )
@@ -102,7 +102,7 @@ def query(its: Subject, name: CamouflageName, start: CamouflageName | None = Non
         str(name),
         (folder / "camouflage.json",),
         work,
-        (settings, str(start), its.names, its.attack_px, its.places),
+        (settings, str(start), its.names, its.attack_px),
         growing=True,
         effort_s=START_S + _QUERY_S * settings.images,
     )

@@ -8,19 +8,20 @@ from functools import partial
 from pathlib import Path
 
 from skyproof.assessment.run import GROUND_S, RENDER_S, START_S, VEHICLE_S, Step
-from skyproof.assessment.subject import Subject
+from skyproof.assessment.subject import ENOUGH_PLACES, Subject
 from skyproof.cli.clear import FAILED, clear_tiles, failed_precheck
 from skyproof.cli.ground import Ground
 from skyproof.cli.import_detector import Import, say_card
 from skyproof.cli.precheck import Precheck
 from skyproof.cli.render import Render, draw_scenes
-from skyproof.cli.vehicles import Vehicles
+from skyproof.cli.vehicles import Vehicles, draw_fleets
 from skyproof.console import say
 from skyproof.cycles.settings import Rendering
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.card import detector_folder, write_card
 from skyproof.detectors.loaded import copy_detector, load_detector
 from skyproof.files import finished_folder
+from skyproof.imagery.clearing.footprints import worn_paints
 from skyproof.imagery.clearing.vehicle_masks import VehicleFinder
 from skyproof.imagery.settings import (
     LabelSettings,
@@ -29,15 +30,29 @@ from skyproof.imagery.settings import (
 )
 from skyproof.layout import Layout
 from skyproof.results.precheck import PRECHECK_FILE
+from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.settings import SceneSettings
 from skyproof.scenes.splits import Split
-from skyproof.vehicles.fleet import FleetSettings
+from skyproof.vehicles.fleet import FleetSettings, sample_fleet
+from skyproof.words import counted
 
 YOURS = "your imagery"
 VEHICLE_CLASSES = ("vehicle",)
 
 # Train, validation, attack and test: roughly the shares of a suite's drawn tiles.
 _SHARES = (0.0, 0.25, 0.25, 0.5)
+
+_FEWEST_PAINTS = 20
+"""Labelled vehicles from which a fleet wears their paints: the share of a colour that every fifth
+vehicle wears is then known to 9 points (standard deviation)."""
+
+_STAND = {
+    "removed": "vehicles stand where labelled ones stood",
+    "drivable": (
+        "vehicles stand on drivable ground, because labels give fewer sunlit places with a heading "
+        f"than {ENOUGH_PLACES['test']} on test and {ENOUGH_PLACES['attack']} on attack tiles"
+    ),
+}
 
 _LONG_S = 60.0
 """Estimated seconds of other steps on one core."""
@@ -179,32 +194,50 @@ def cleared(its: Subject) -> Step:
 
 
 def fleets(its: Subject, layout: Layout, title: str = "fleets") -> Step:
-    """Draws the vehicles of the four splits."""
+    """Draws the vehicles of the four splits, in paints of the place if labels show them."""
     counts = its.suite.vehicles
     draw = Vehicles(layout.fleets, counts=counts, seed=its.seed)
     effort_s = START_S + VEHICLE_S * sum(counts)
     drawn = FleetSettings(paints=draw.paints, shapes=draw.shapes)
-    settings = (counts, drawn, its.seed)
-    return Step("vehicles", title, (layout.fleets,), draw.run, settings, effort_s=effort_s)
+    of_place = its.labelled and layout == its.layout
+
+    def work() -> None:
+        worn = None
+        if of_place:
+            tiles, cleared = map(BackgroundSet.open, (layout.tiles, layout.backgrounds))
+            worn = worn_paints(tiles, cleared)
+            if len(worn) < _FEWEST_PAINTS:
+                say(
+                    f"  note: {counted(len(worn), 'labelled vehicle')} show their paint, and "
+                    f"{_FEWEST_PAINTS} are enough, so vehicles wear the paints of cars worldwide"
+                )
+                worn = None
+        draw_fleets(layout.fleets, counts, drawn, its.seed, partial(sample_fleet, worn=worn))
+
+    settings = (counts, drawn, its.seed, of_place)
+    return Step("vehicles", title, (layout.fleets,), work, settings, effort_s=effort_s)
 
 
 def scenes(its: Subject, layout: Layout, split: Split, title: str = "") -> Step:
     """Draws the scenes of a split."""
-    # Only the run's own ground was cut from imagery.
-    places = its.places if layout == its.layout else "uniform"
-    settings = SceneSettings(size_px=its.image_px, places=places)
     count, out = its.suite.test_images, layout.scenes(split)
-    work = partial(
-        draw_scenes,
-        backgrounds=layout.backgrounds,
-        fleet=layout.fleets / split,
-        out=out,
-        split=split,
-        count=count,
-        settings=settings,
-        seed=its.seed,
-    )
-    return Step("scenes", title or split, (out,), work, (settings, count, its.seed))
+
+    def work() -> None:
+        # Only the run's own ground was cut from imagery.
+        places = its.places if layout == its.layout else "uniform"
+        if places != "uniform":
+            say(f"  note: {_STAND[places]}")
+        draw_scenes(
+            backgrounds=layout.backgrounds,
+            fleet=layout.fleets / split,
+            out=out,
+            split=split,
+            count=count,
+            settings=SceneSettings(size_px=its.image_px, places=places),
+            seed=its.seed,
+        )
+
+    return Step("scenes", title or split, (out,), work, (its.image_px, count, its.seed))
 
 
 def rendered(

@@ -39,10 +39,18 @@ from skyproof.imagery.tiles.sources import Source
 from skyproof.layout import Layout
 from skyproof.maite.models import ModelDetector, is_maite_model
 from skyproof.results.statistics.acceptance import Requirement, fewest_tiles
+from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.places import Places
+from skyproof.scenes.placing import known_places
+from skyproof.scenes.splits import Split
 
 REFERENCE_GSD_M = 0.125
 """Resolution of the reference detectors, and of detectors that state none."""
+
+ENOUGH_PLACES: Mapping[Split, int] = {"test": 50, "attack": 25}
+"""Places from which vehicles stand only there. 120 scenes hold about 240 vehicles, and scores of
+vehicles on one place correlate by up to 0.23 (measured on two flights): on 46 places the variance
+of a rate doubles. Attack tiles are half as many."""
 
 _SIDES = (".shp", ".dbf", ".prj")
 """The files of a Shapefile."""
@@ -98,10 +106,17 @@ class Subject:
     def seed(self) -> int:
         return self.request.seed
 
-    @property
+    @cached_property
     def places(self) -> Places:
-        """Places of vehicles, which in photographs exclude roofs and trees."""
-        return "drivable" if self.request.imagery else "uniform"
+        """Places of vehicles: those of labelled ones if cleared imagery shows enough of them."""
+        if not self.request.imagery:
+            return "uniform"
+        ground = BackgroundSet.open(self.layout.backgrounds)
+        enough = all(
+            sum(len(known_places(tile)) for tile in ground.tiles(split)) >= count
+            for split, count in ENOUGH_PLACES.items()
+        )
+        return "removed" if enough else "drivable"
 
     @property
     def image_px(self) -> int:

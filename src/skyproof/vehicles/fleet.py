@@ -93,7 +93,8 @@ class Fleet:
         textures: `[N, 3, 512, 512]` sRGB as bytes.
         parts: `[N, 512, 512]` values of `Part`.
         sources: by id "mesh" and "licence" of a wrapped vehicle, "generator" of a learnt one,
-            "coat" if it is no catalogue paint, and "shape": "random".
+            "coat" if it is no catalogue paint, "paint" if it is one of a place's, and "shape":
+            "random".
     """
 
     settings: FleetSettings | None
@@ -204,10 +205,12 @@ def sample_fleet(
     *,
     generator: torch.Generator,
     progress: Callable[[int, int], None] | None = None,
+    worn: Float[Tensor, "P 3"] | None = None,
 ) -> Fleet:
     """Draws a fleet: body types by weight, then dimensions, paint and trim of each vehicle.
 
-    The same state of the CPU generator gives the same fleet, byte for byte.
+    Paints `worn` at a place, sRGB in [0, 1], take the place of catalogue paints, in the same
+    shares. The same state of the CPU generator gives the same fleet, byte for byte.
     """
     coats = _coats(settings, generator)
     types = list(settings.weights)
@@ -216,19 +219,34 @@ def sample_fleet(
     chosen = drawn_types.tolist()
     ids = [f"{types[choice]}-{n:04d}" for n, choice in enumerate(chosen, settings.first_number)]
     drawn = []
-    for choice, coat in zip(chosen, coats, strict=True):
+    paints = [None] * settings.count if worn is None else _paints_of(worn, settings, generator)
+    for choice, coat, paint in zip(chosen, coats, paints, strict=True):
         body = build_body(sample_dimensions(types[choice], generator=generator))
-        maps = paint_vehicle(body, types[choice], coat, generator=generator)
+        maps = paint_vehicle(body, types[choice], coat, paint=paint, generator=generator)
         drawn.append((body.vertices, *maps))
         if progress is not None:
             progress(len(drawn), settings.count)
     sources: dict[str, dict[str, str]] = {
         name: {"coat": coat} for name, coat in zip(ids, coats, strict=True) if coat != _USUAL
     }
+    for name, paint in zip(ids, paints, strict=True):
+        if paint is not None:
+            sources.setdefault(name, {})["paint"] = "of a labelled vehicle"
     for index in exact_share(settings.shapes, settings.count, generator):
         sources.setdefault(ids[index], {})["shape"] = "random"
     vertices, textures, parts = (torch.stack(each) for each in zip(*drawn, strict=True))
     return Fleet(settings, make_template(), tuple(ids), vertices, textures, parts, sources)
+
+
+def _paints_of(
+    worn: Float[Tensor, "P 3"], settings: FleetSettings, generator: torch.Generator
+) -> list[Tensor]:
+    """Draws paints evenly from dark to light, so that a small fleet has all, in random order."""
+    ranked = worn[worn.sum(1).argsort(stable=True)]
+    at = torch.arange(settings.count) + torch.rand(settings.count, generator=generator)
+    drawn = ranked[(at / settings.count * len(ranked)).long().clamp(max=len(ranked) - 1)]
+    order = torch.randperm(settings.count, generator=generator)
+    return [*drawn[order]]
 
 
 def _coats(settings: FleetSettings, generator: torch.Generator) -> list[Coat]:

@@ -20,6 +20,7 @@ from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError, ImageryError, StoredFileError
 from skyproof.files import refuse_links, write_json
 from skyproof.imagery.clearing.exemplar import fill_ground
+from skyproof.imagery.clearing.footprints import sunlit
 from skyproof.imagery.clearing.labelled import (
     TileLabels,
     detected_vehicles,
@@ -277,7 +278,7 @@ def _stored(
     directions = drivable_directions(image, backgrounds.gsd_m, found.vehicles, found.places)
     return replace(
         tile,
-        removed=(*tile.removed, *found.places),
+        removed=(*tile.removed, *sunlit(image, found.places, backgrounds.gsd_m)),
         drivable=save_map(out, "drivable", tile.id, directions),
         shade=None if shade is None else save_map(out, "shade", tile.id, shade.numpy()),
         cover=None if cover is None else save_map(out, "cover", tile.id, cover.numpy()),

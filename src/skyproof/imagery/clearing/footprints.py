@@ -1,0 +1,81 @@
+"""What pictures show where labelled vehicles stand: the ground's shade, and the vehicles' paint."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from numpy.typing import NDArray
+from torch import Tensor
+
+from skyproof.datasets.pictures import Pixels
+from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
+from skyproof.scenes.backgrounds import BackgroundSet
+from skyproof.scenes.places import RemovedVehicle
+
+SHADED_BELOW = 0.4
+"""Brightness of ground in the shade, as a share of that under sunlit vehicles of the tile. The sky
+gives a quarter of the light, so shade lies at 0.25, and dark asphalt beside light at half."""
+SUNLIT_SHARE = 0.75
+BODY_SHARES = (0.6, 0.9)
+"""Pixels of a vehicle by rank of brightness that show paint: darker ones are panes, brighter ones
+glints."""
+CLEAR_COAT = 0.03
+SLOPES = 0.9
+"""What clear coat adds to paint, as a share of white, and what slopes leave of it: found on renders
+of known paint, of which the two give back the lightness within 9 (black), 3 and 5 (white)."""
+_DARKEST, _LIGHTEST = 0.0023, 0.93
+
+
+def sunlit(
+    image: Pixels, places: Sequence[RemovedVehicle], gsd_m: float
+) -> tuple[RemovedVehicle, ...]:
+    """Leaves out the places that lie in the shade on a cleared picture, where no render fits."""
+    grounds = [_light(image, place, gsd_m, 1.0, 1.0) for place in places]
+    known = [ground.mean() for ground in grounds if len(ground)]
+    least = SHADED_BELOW * np.quantile(known, SUNLIT_SHARE) if known else 0.0
+    return tuple(
+        place
+        for place, ground in zip(places, grounds, strict=True)
+        if not len(ground) or ground.mean() >= least
+    )
+
+
+def worn_paints(tiles: BackgroundSet, cleared: BackgroundSet) -> Float[Tensor, "n 3"]:
+    """Estimates the paint of each vehicle of known heading that was removed from tiles, in sRGB.
+
+    The light of the cleared tile turns the pixels of roof and bonnet into reflectances.
+    """
+    paints = []
+    for tile in cleared.all_tiles():
+        light, image = tile.light or cleared.light, tiles.pixels(tile.id)
+        black, white = np.array(light.black), np.array(light.white)
+        for place in tile.removed:
+            shown = _light(image, place, cleared.gsd_m, 0.85, 0.7)
+            if not len(shown):
+                continue
+            order = np.argsort(shown.mean(1), kind="stable")
+            first, last = (int(share * len(order)) for share in BODY_SHARES)
+            body = shown[order[first : last + 1]].mean(0)
+            reflected = ((body - black) / np.maximum(white - black, 0.05) - CLEAR_COAT) / SLOPES
+            paints.append(np.clip(reflected, _DARKEST, _LIGHTEST))
+    return linear_to_srgb(torch.tensor(np.array(paints).reshape(-1, 3), dtype=torch.float32))
+
+
+def _light(
+    image: Pixels, place: RemovedVehicle, gsd_m: float, along: float, across: float
+) -> NDArray[np.float64]:
+    """Gives the linear pixels of a share of a vehicle's rectangle, `[n, 3]`."""
+    if place.heading_rad is None or place.length_m is None or place.width_m is None:
+        return np.zeros((0, 3))
+    reach_px = place.length_m / gsd_m
+    top, left = (max(0, int(at - reach_px)) for at in (place.y_px, place.x_px))
+    bottom, right = int(place.y_px + reach_px) + 1, int(place.x_px + reach_px) + 1
+    part = image[:, top:bottom, left:right]
+    rows, columns = np.indices(tuple(part.shape[1:])) + 0.5
+    x, y = columns + left - place.x_px, rows + top - place.y_px
+    cosine, sine = np.cos(place.heading_rad), np.sin(place.heading_rad)
+    inside = np.abs(cosine * x - sine * y) < along * place.length_m / gsd_m / 2
+    inside &= np.abs(sine * x + cosine * y) < across * place.width_m / gsd_m / 2
+    pixels: NDArray[np.float64] = srgb_to_linear(part.double() / 255).numpy()[:, inside].T
+    return pixels
