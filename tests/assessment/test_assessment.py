@@ -86,13 +86,14 @@ def test_imagery_labels_and_a_detector_folder(folder):
     assert "your imagery=run/tiles/test@0.1" in checked.settings[-1]
 
 
-def ground_with(folder, test, attack):
+def ground_with(folder, test, attack, drivable="test attack"):
     """Cleared ground with so many places; one more of each split has no heading."""
     tiles = []
     for split, count in (("test", test), ("attack", attack)):
         known = [RemovedVehicle(9.0 * n, 30.0, 0.5, "label", 4.5, 1.8) for n in range(count)]
         removed = (*known, RemovedVehicle(9.0, 60.0))
-        tiles.append(BackgroundTile(split, f"{split}.png", split, 640, 640, "a", removed=removed))
+        tile = BackgroundTile(split, f"{split}.png", split, 640, 640, "a", removed=removed)
+        tiles.append(replace(tile, drivable=f"{split}-map.png" if split in drivable else None))
     folder.mkdir(parents=True)
     write_index(folder, 0.1, tiles)
 
@@ -107,6 +108,9 @@ def test_vehicles_stand_where_labelled_ones_did_if_there_are_enough(
     monkeypatch.chdir(tmp_path)
     ground_with(RUN / "backgrounds", test, attack)
     assert subject(folder).places == places
+    ground_with(tmp_path / "other" / RUN / "backgrounds", 0, 0, "attack")
+    monkeypatch.chdir(tmp_path / "other")
+    assert subject(folder).places == "uniform"
     assert subject(folder, imagery=(), labels=None).places == "uniform"
 
 

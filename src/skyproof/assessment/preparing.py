@@ -31,6 +31,7 @@ from skyproof.imagery.settings import (
 from skyproof.layout import Layout
 from skyproof.results.precheck import PRECHECK_FILE
 from skyproof.scenes.backgrounds import BackgroundSet
+from skyproof.scenes.places import Places
 from skyproof.scenes.settings import SceneSettings
 from skyproof.scenes.splits import Split
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
@@ -43,15 +44,17 @@ VEHICLE_CLASSES = ("vehicle",)
 _SHARES = (0.0, 0.25, 0.25, 0.5)
 
 _FEWEST_PAINTS = 20
-"""Labelled vehicles from which a fleet wears their paints: the share of a colour that every fifth
-vehicle wears is then known to 9 points (standard deviation)."""
+"""Labelled vehicles from which a fleet has their paints: the share of a colour that every fifth
+vehicle has is then known to 9 points (standard deviation)."""
 
+_FEW = (
+    "because labels give fewer sunlit places with a heading than "
+    f"{ENOUGH_PLACES['test']} on test and {ENOUGH_PLACES['attack']} on attack tiles"
+)
 _STAND = {
     "removed": "vehicles stand where labelled ones stood",
-    "drivable": (
-        "vehicles stand on drivable ground, because labels give fewer sunlit places with a heading "
-        f"than {ENOUGH_PLACES['test']} on test and {ENOUGH_PLACES['attack']} on attack tiles"
-    ),
+    "drivable": f"vehicles stand on drivable ground, {_FEW}",
+    "uniform": f"vehicles stand anywhere, even on roofs, {_FEW}, and drivable ground was not found",
 }
 
 _LONG_S = 60.0
@@ -209,7 +212,7 @@ def fleets(its: Subject, layout: Layout, title: str = "fleets") -> Step:
             if len(worn) < _FEWEST_PAINTS:
                 say(
                     f"  note: {counted(len(worn), 'labelled vehicle')} show their paint, and "
-                    f"{_FEWEST_PAINTS} are enough, so vehicles wear the paints of cars worldwide"
+                    f"{_FEWEST_PAINTS} are enough, so vehicles have the paints of cars worldwide"
                 )
                 worn = None
         draw_fleets(layout.fleets, counts, drawn, its.seed, partial(sample_fleet, worn=worn))
@@ -224,8 +227,9 @@ def scenes(its: Subject, layout: Layout, split: Split, title: str = "") -> Step:
 
     def work() -> None:
         # Only the run's own ground was cut from imagery.
-        places = its.places if layout == its.layout else "uniform"
-        if places != "uniform":
+        places: Places = "uniform"
+        if layout == its.layout and its.request.imagery:
+            places = its.places
             say(f"  note: {_STAND[places]}")
         draw_scenes(
             backgrounds=layout.backgrounds,

@@ -112,11 +112,14 @@ class Subject:
         if not self.request.imagery:
             return "uniform"
         ground = BackgroundSet.open(self.layout.backgrounds)
-        enough = all(
-            sum(len(known_places(tile)) for tile in ground.tiles(split)) >= count
+        tiles = {split: ground.tiles(split) for split in ENOUGH_PLACES}
+        if all(
+            sum(len(known_places(tile)) for tile in tiles[split]) >= count
             for split, count in ENOUGH_PLACES.items()
-        )
-        return "removed" if enough else "drivable"
+        ):
+            return "removed"
+        known = all(any(tile.drivable for tile in of_split) for of_split in tiles.values())
+        return "drivable" if known else "uniform"
 
     @property
     def image_px(self) -> int:
