@@ -246,7 +246,8 @@ def test_inside_the_body_every_pixel_follows_the_vertices():
             (pulled,) = torch.autograd.grad(drawn[channel, pixel], vertices, retain_graph=True)
             analytic[channel, pixel] = (pulled * direction).sum()
     assert coarse.abs().median() > 0.01
-    scale = coarse.abs().clamp(min=0.05 * coarse.abs().max())
+    # Of white per metre: what is smaller drowns in the rounding of the two pictures.
+    scale = coarse.abs().clamp(min=0.3)
     smooth = (fine - coarse).abs() < 5e-3 * scale
     assert smooth.float().mean() > 0.95
     error = ((analytic - coarse).abs() / scale)[smooth]

@@ -8,6 +8,7 @@ import torch
 import warp as wp
 from torch.nn.functional import normalize
 
+from skyproof.geometry.colour import linear_to_srgb
 from skyproof.kernels import launch
 from skyproof.render.kernels.light import (
     SurfaceLight,
@@ -204,7 +205,25 @@ def test_level_ground_sends_as_much_light_as_the_photograph_was_exposed_for():
         # What the coat mirrors, seen from straight above, does not reach the paint.
         lit.settings = RenderSettings()
         coated, _ = lit.drawn(*level, gloss_table()[:1])
-        assert coated[0].tolist() == pytest.approx([0.96] * 3, abs=1e-6)
+        assert coated[0].tolist() == pytest.approx([0.982] * 3, abs=1e-6)
+
+
+@pytest.mark.parametrize("elevation_deg", [30, 45, 60])
+def test_black_paint_has_a_sheen_and_no_white_glint(elevation_deg):
+    # A quarter of a circle of normals from upright towards the sun, seen from straight above.
+    high = math.radians(elevation_deg)
+    lit = clear_day([[math.cos(high), 0.0, math.sin(high)]], [[0.0, 0.0, 1.0]])
+    leaning = torch.linspace(0.0, math.pi / 2, 91)
+    normals = torch.stack((leaning.sin(), 0 * leaning, leaning.cos()), dim=1)
+    where = (torch.zeros(91, dtype=torch.long), torch.ones(91), gloss_table()[[Part.BODY] * 91])
+    diffuse, mirrored = lit.drawn(normals, *where)
+    # Black paint is 1.5 % dust and 0.6 % pigment.
+    seen = linear_to_srgb(0.021 * diffuse + mirrored).mean(1)
+    mirror_deg = round((90 - elevation_deg) / 2)
+    assert float(seen.max()) < 0.6
+    assert float(seen[mirror_deg]) > float(seen[0]) + 0.05
+    # A round spot would have gone within these degrees.
+    assert float(seen[mirror_deg - 5]) > 0.75 * float(seen[mirror_deg])
 
 
 def test_what_faces_down_sees_its_own_shadow_and_mirrors_no_sky():

@@ -17,14 +17,16 @@ CAMOUFLAGE = len(Part)
 _DARKEST = 0.015
 
 # Roughness, clear coat, specular level (0.5 is a refractive index of 1.5), the coat's roughness: as
-# in Blender's Principled BSDF. Our estimates: a coat in daily use is neither polished nor dull.
-# Vehicles are closed shells: windows are dark mirrors, as from above.
+# in Blender's Principled BSDF. Our estimates. The sun in a polished coat is a point that
+# photographs hardly show. On our smooth bodies its image would be a white blob. Coats are therefore
+# broad and weak, as dents, flakes and dust make a panel: a sheen that follows its curvature.
+# Vehicles are closed shells: windows are nearly black and mirror the sky.
 _FINISHES = {
-    Part.BODY: (0.6, 1.0, 0.0, 0.12),
-    Part.GLASS: (0.03, 0.0, 0.5, 0.0),
-    Part.LIGHT: (0.2, 1.0, 0.5, 0.05),
+    Part.BODY: (0.6, 0.45, 0.0, 0.4),
+    Part.GLASS: (0.38, 0.0, 0.6, 0.0),
+    Part.LIGHT: (0.2, 1.0, 0.5, 0.3),
     Part.WHEEL: (0.85, 0.0, 0.25, 0.0),
-    Part.BUMPER: (0.6, 0.7, 0.2, 0.2),
+    Part.BUMPER: (0.6, 0.45, 0.2, 0.4),
     Part.TRIM: (0.6, 0.0, 0.4, 0.0),
     Part.UNDERSIDE: (0.9, 0.0, 0.2, 0.0),
 }

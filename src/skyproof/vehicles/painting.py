@@ -10,14 +10,14 @@ from skyproof.vehicles.paints import Coat, lay_coat, sample_paint
 from skyproof.vehicles.template import TOPOLOGY_BELT
 from skyproof.vehicles.vehicle import TEXTURE_SIZE, Part
 
-GLASS_SRGB = (0.115, 0.140, 0.165)
-"""Panes from outside; those of single vehicles are 0.75 to 1.45 times as bright."""
+GLASS_SRGB = (0.060, 0.070, 0.080)
+"""What shows through panes, nearly nothing; single vehicles have 0.75 to 1.45 times as much."""
 
 _BLACK = (0.06, 0.06, 0.065)
 _RUBBER = (0.075, 0.075, 0.075)
 _CHROME = (0.62, 0.63, 0.64)
-_LAMP = (0.80, 0.82, 0.84)
-_TAIL_LAMP = (0.48, 0.04, 0.05)
+_LAMP = (0.60, 0.62, 0.64)
+_TAIL_LAMP = (0.58, 0.04, 0.05)
 _PLATE = (0.82, 0.82, 0.78)
 _SEAM = 0.45  # what is left of the paint's brightness in a panel gap
 
@@ -57,7 +57,8 @@ def paint_vehicle(
     texture, z, parts = (
         torch.cat([half, half.flip(-1)], dim=-1) for half in (canvas.colour, canvas.z, canvas.parts)
     )
-    texture = _dirty(texture, z, chance[10], generator=generator)
+    dirty = _dirty(texture, z, chance[10], generator=generator)
+    texture = torch.where(parts == Part.GLASS, texture, dirty)
     return (texture.clamp(0.0, 1.0) * 255).round().to(torch.uint8), parts
 
 
@@ -141,10 +142,10 @@ def _paint_ends(c: TextureCanvas, body_type: str, paint: Colour, chance: float) 
     c.fill(where, _BLACK, Part.TRIM)
     c.fill(face & (c.y < 0.66 * half) & between(c.z, low, low + 0.11), _BLACK, Part.TRIM)
     c.fill(face & (c.y < 0.26) & between(c.z, bumper_z - 0.16, bumper_z - 0.05), _PLATE, Part.TRIM)
-    lamp_top = d.nose_height - 0.015
-    lamp = nose & (c.y > 0.58 * half) & between(c.z, lamp_top - 0.15, lamp_top) & (c.behind < 0.40)
+    lamp_top = d.nose_height + 0.01
+    lamp = nose & (c.y > 0.58 * half) & between(c.z, lamp_top - 0.18, lamp_top)
     c.fill(lamp, (0.30, 0.31, 0.33), Part.LIGHT)
-    where = lamp & between(c.z, lamp_top - 0.12, lamp_top - 0.02) & (c.y > 0.62 * half)
+    where = lamp & between(c.z, lamp_top - 0.14, lamp_top - 0.01) & (c.y > 0.62 * half)
     c.fill(where, _LAMP, Part.LIGHT)
 
     tall = body_type in ("hatchback", "estate", "suv", "van")
@@ -152,7 +153,7 @@ def _paint_ends(c: TextureCanvas, body_type: str, paint: Colour, chance: float) 
     across = 0.76 if tall else 0.50
     height = {"saloon": 0.17, "pickup": 0.40, "van": 0.42}.get(body_type, 0.30)
     where = above_floor & (c.y > across * half) & between(c.z, high - height, high)
-    c.fill(where & (c.ahead < 0.26), _TAIL_LAMP, Part.LIGHT)
+    c.fill(where & (c.ahead < 0.34), _TAIL_LAMP, Part.LIGHT)
     rear_face = tail & (c.ahead < 0.14)
     plate_z = 0.66 if body_type in ("saloon", "suv", "estate", "hatchback") else 0.48
     c.fill(rear_face & (c.y < 0.26) & between(c.z, plate_z, plate_z + 0.11), _PLATE, Part.TRIM)
@@ -221,7 +222,7 @@ def _paint_roof(c: TextureCanvas, body_type: str, glass: Tensor, chance: list[fl
         where = roof & (c.y < 0.028) & between(c.station, rear - 0.22, rear - 0.06)
         c.fill(where, _BLACK, Part.TRIM)
         # The ditch where roof and side panels meet.
-        c.shade(roof & between(c.y - (c.rail_y - 0.025), -0.008, 0.008), 0.6)
+        c.shade(roof & between(c.y - (c.rail_y - 0.025), -0.018, 0.018), _SEAM)
 
 
 def _paint_bed(c: TextureCanvas, colour: Tensor) -> None:

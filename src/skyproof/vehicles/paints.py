@@ -1,4 +1,4 @@
-"""Vehicles' paints at published frequencies, and coats that few real vehicles wear.
+"""Vehicles' paints at the frequencies of streets, and coats that few real vehicles wear.
 
 A detector trained on catalogue paints alone takes colour for evidence. The coats prevent that: any
 plain colour, two tones, a livery.
@@ -19,35 +19,37 @@ Coat = Literal["catalogue", "plain", "two_tone", "livery", "patterned"]
 `skyproof.camouflage.random_controls` lays over a catalogue paint."""
 
 _DARKEST, _LIGHTEST = 0.03, 0.97  # nothing paints blacker or whiter, sRGB
+# White cars in use are no whiter, or whole roofs would burn out where the sun stands high.
+_WHITEST_CAR = 0.91
 _HUES = torch.tensor([[-87.0, 99.0], [-108.0, 95.0]])  # sRGB's a* and b* lie within
 _CANDIDATES = 64
 # CIELAB lightness of a pair of a dark and a light tone.
 _DARK_BELOW, _LIGHT_ABOVE = 25.0, 80.0
 
-# Axalta Global Automotive Color Popularity Report 2022 (press release of 15 December 2022), share
-# of cars built worldwide: white 34 %, black 21, grey 19, blue 8, red 5, green 1; "white, black,
-# grey and silver" 82 together, which leaves silver 8. The remaining 4 % are not itemised there; we
-# share them between brown or beige and yellow or orange.
+# Shares of cars on roads, our estimates from aerial photographs of two European towns (KIT AIS and
+# Minsk): about a fifth white, a third black, blue-black or dark grey. Cars built in one year are
+# another matter: white 34 %, black 21, grey 19, silver 8, blue 8, red 5, green 1 (Axalta Global
+# Automotive Color Popularity Report 2022).
 PAINT_SHARES: dict[str, float] = {
-    "white": 0.34,
-    "black": 0.21,
-    "grey": 0.19,
-    "silver": 0.08,
-    "blue": 0.08,
-    "red": 0.05,
+    "white": 0.22,
+    "black": 0.28,
+    "grey": 0.13,
+    "silver": 0.16,
+    "blue": 0.10,
+    "red": 0.07,
     "green": 0.01,
-    "brown": 0.03,
+    "brown": 0.02,
     "yellow": 0.01,
 }
-_WHITE_VANS = 0.7  # our estimate, not published; the rest follows the table
+_WHITE_VANS = 0.7  # our estimate, the rest follows the table
 
 # Typical diffuse sRGB of each colour space: our estimates, not measured.
 PAINT_TONES: dict[str, list[tuple[float, float, float]]] = {
-    "white": [(0.94, 0.94, 0.93), (0.91, 0.92, 0.92), (0.92, 0.91, 0.88)],
-    "black": [(0.07, 0.07, 0.08), (0.10, 0.10, 0.11), (0.07, 0.08, 0.12)],
+    "white": [(0.91, 0.91, 0.90), (0.89, 0.90, 0.90), (0.90, 0.89, 0.86)],
+    "black": [(0.07, 0.07, 0.08), (0.09, 0.10, 0.12), (0.07, 0.09, 0.15), (0.09, 0.11, 0.19)],
     "grey": [(0.30, 0.31, 0.33), (0.40, 0.41, 0.42), (0.23, 0.24, 0.26)],
-    "silver": [(0.66, 0.67, 0.69), (0.72, 0.73, 0.74), (0.60, 0.62, 0.64)],
-    "blue": [(0.10, 0.21, 0.46), (0.08, 0.13, 0.27), (0.27, 0.42, 0.60), (0.05, 0.28, 0.58)],
+    "silver": [(0.66, 0.67, 0.69), (0.74, 0.75, 0.76), (0.60, 0.62, 0.64)],
+    "blue": [(0.10, 0.20, 0.40), (0.08, 0.13, 0.27), (0.22, 0.34, 0.50), (0.12, 0.18, 0.34)],
     "red": [(0.58, 0.06, 0.07), (0.43, 0.06, 0.09), (0.68, 0.11, 0.08)],
     "green": [(0.11, 0.26, 0.17), (0.30, 0.36, 0.26)],
     "brown": [(0.33, 0.24, 0.18), (0.64, 0.57, 0.47), (0.45, 0.38, 0.31)],
@@ -67,7 +69,7 @@ def sample_paint(body_type: str, *, generator: torch.Generator) -> tuple[str, Fl
     tone = torch.tensor(tones[min(int(draws[2] * len(tones)), len(tones) - 1)])
     lightness = 1 + 0.08 * torch.randn(1, generator=generator)
     tint = 0.006 * torch.randn(3, generator=generator)
-    return name, (tone * lightness + tint).clamp(_DARKEST, _LIGHTEST)
+    return name, (tone * lightness + tint).clamp(_DARKEST, _WHITEST_CAR)
 
 
 def varied_colours(
