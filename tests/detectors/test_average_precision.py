@@ -149,17 +149,32 @@ def test_f1_threshold_without_any_hit_or_below_the_last() -> None:
     assert f1 == 1.0
 
 
-def test_the_frozen_threshold_is_the_lowest_that_is_as_good_as_the_best() -> None:
+def test_the_frozen_threshold_is_the_middle_of_those_as_good_as_the_best() -> None:
     # 200 vehicles: 199 are found by 0.9, the last by 0.4; two false alarms lie between, and some
     # below. F1 is 0.9975 at 0.9, 0.9950 at 0.4, 0.9901 after two more, and 0.9877, 0.9852 after
-    # three and four: the third costs 0.98 of a point, the fourth 1.2.
+    # three and four: the third costs 0.98 of a point, the fourth 1.2. The first threshold within a
+    # point, F1 0.9899, counts 196 vehicles.
     scores = [*np.linspace(0.99, 0.9, 199), 0.7, 0.6, 0.4, 0.3, 0.2, 0.1, 0.05]
     hits = [*[1] * 199, 0, 0, 1, 0, 0, 0, 0]
     best, _ = best_f1_threshold(curve(scores, hits, 200))
     assert best == pytest.approx(0.8)
+    # The middle of 0.075 and about 0.90 lies between the scores 0.6 and 0.4.
     frozen, f1 = frozen_threshold(curve(scores, hits, 200))
-    assert frozen == pytest.approx(0.075)
-    assert f1 == pytest.approx(400 / (200 + 205))
+    assert frozen == pytest.approx(0.5)
+    assert f1 == pytest.approx(2 * 199 / (200 + 201))
+
+
+def test_few_vehicles_freeze_the_peak_itself() -> None:
+    few = curve([0.9, 0.8, 0.7, 0.6, 0.2], [1, 1, 0, 1, 0], 4)
+    assert frozen_threshold(few) == best_f1_threshold(few)
+
+
+def test_the_frozen_threshold_parts_no_tie() -> None:
+    # The middle of 0.75 and 0.4 lies within the tie of 0.6, whose three detections count together.
+    scores = [*np.linspace(0.99, 0.9, 100), 0.6, 0.6, 0.6, 0.2]
+    frozen, f1 = frozen_threshold(curve(scores, [*[1] * 100, 1, 0, 0, 0], 101))
+    assert frozen == pytest.approx(0.75)
+    assert f1 == pytest.approx(200 / 201)
 
 
 def test_the_frozen_threshold_of_nothing_found_is_one() -> None:

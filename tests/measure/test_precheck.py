@@ -54,8 +54,8 @@ def test_every_trial_is_made_once_and_every_draw_differs():
         for kind in ("paint_body", "paint_whole", "two_tone", "blur", "control", "sun")
     }
     paints = {"paint_body": 27, "paint_whole": 27, "two_tone": 8}
-    assert counted == {**paints, "blur": 4, "control": 6, "sun": 4}
-    assert len(trials) == 27 + 27 + 8 + 4 + 12 + 4
+    assert counted == {**paints, "blur": 4, "control": 10, "sun": 4}
+    assert len(trials) == 27 + 27 + 8 + 4 + 20 + 4
     first, second = (trial.camouflage for trial in trials if trial.name == "R-U")
     assert not torch.equal(first.cells, second.cells)
     again = precheck_changes(torch.rand(5, 3), draws=1, seed=0)
@@ -103,7 +103,7 @@ def test_two_tones_meet_at_the_shoulder_and_can_be_stored(fleet, tmp_path):
 def test_a_detector_that_finds_everything_passes(records):
     record = records["good"]
     assert {rate.easr.estimate for rate in record.rates} == {0.0}
-    assert [rate.draws for rate in record.of_kind("control")] == [2] * 6
+    assert [rate.draws for rate in record.of_kind("control")] == [2] * 10
     (check,) = record.sets
     assert (check.ap_centre_1m.estimate, check.recall.estimate, check.vehicles) == (1, 1, 6)
     assert check.recall.low < 0.5  # three tiles say little
@@ -147,7 +147,7 @@ def test_vehicles_lost_in_a_paint_are_counted_on_each_tile(records):
 def test_blur_and_sun_change_the_picture(records, good):
     unchanged, *changed = good.contrasts
     assert len(records) == 2
-    assert len(changed) == 27 + 27 + 8 + 4 + 12 + 4
+    assert len(changed) == 27 + 27 + 8 + 4 + 20 + 4
     blurs, suns = changed[62:66], changed[-4:]
     assert len({*blurs, unchanged}) == len({*suns, unchanged}) == 5
 

@@ -115,8 +115,8 @@ def test_coats_cover_the_body_and_half_of_the_plain_ones_glass_too() -> None:
     assert len(covered) == 12
 
 
-def test_patterns_are_laid_on_their_vehicles_alone_six_of_fourteen_on_paint_only() -> None:
-    fleet = _varied(56)
+def test_patterns_are_laid_on_their_vehicles_alone_six_of_eighteen_on_paint_only() -> None:
+    fleet = _varied(72)
     worn = wear_random_controls(fleet, generator=_generator(5))
     whole = 0
     for row, name in enumerate(fleet.ids):
@@ -127,7 +127,7 @@ def test_patterns_are_laid_on_their_vehicles_alone_six_of_fourteen_on_paint_only
         body = fleet.parts[row] == Part.BODY
         assert float(changed[body].float().mean()) > 0.9
         whole += bool(changed[~body].any())
-    assert whole == 8
+    assert whole == 12
     again = wear_random_controls(fleet, generator=_generator(5))
     assert torch.equal(again.textures, worn.textures)
 
@@ -153,7 +153,7 @@ def test_shapes_are_pushed_out_whatever_the_coat_each_by_its_own_map() -> None:
         # As in R-S-O some vertices stay nearly where they are.
         assert float(moved.median()) < 0.8 * float(moved.max())
     assert min(farthest) > 0.05
-    assert max(farthest) <= 0.4
+    assert max(farthest) <= 0.5
     assert len(set(farthest)) == len(farthest)
 
 

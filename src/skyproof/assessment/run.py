@@ -324,5 +324,5 @@ def time_left_s(
 
 
 def precheck_images(scenes: int, draws: int) -> int:
-    """Images of a precheck: every scene as it is, 62 times changed, and in six random controls."""
-    return scenes * (1 + 62 + 6 * draws)
+    """Images of a precheck: every scene as it is, 62 times changed, and in ten random controls."""
+    return scenes * (1 + 62 + 10 * draws)

@@ -13,18 +13,19 @@ from skyproof.geometry.colour import cielab_to_srgb, srgb_to_cielab
 from skyproof.vehicles.fleet import Fleet
 from skyproof.vehicles.paints import varied_colours
 
-# Colours of the ground over glass and wheels hide most: twice as many vehicles wear them.
+# Colours of the ground over glass and wheels hide most: four times as many vehicles wear them.
 _TEXTURES = tuple(
     TextureConstraints.parse(name)
     for name in (
         *("U", "Ma", "Pix", "PixMa", "Lc", "LcMa", "PixLc", "PixLcMa"),
-        *("Fc", "FcMa", "PixFc", "PixFcMa", "Fc", "PixFc"),
+        *("Fc", "FcMa", "PixFc", "PixFcMa", *("Fc", "PixFc") * 3),
     )
 )
 # Coarser and finer than the attacks' 32 blocks, so that no detector learns one width by heart.
 _BLOCKS = (8, 16, 32, 64)
 _MOST_COLOURS = 8
-_MAGNITUDES = (0.1, 0.4)
+# Beyond the 0.4 of the precheck, so that it is no extreme.
+_MAGNITUDES = (0.1, 0.5)
 # Standard deviations in CIELAB.
 _WIDEST_LIGHTNESS = 30.0
 _WIDEST_HUE = 20.0

@@ -124,6 +124,50 @@ def add_pool(canvas: Canvas, place: Place, angle_rad: float) -> None:
         canvas.paint(water, canvas.varied(water, canvas.pick(_WATERS), grain=0.05, mottle=0.08))
 
 
+def add_kiosk(canvas: Canvas, place: Place, angle_rad: float) -> None:
+    """Adds a booth as small as a car: a roof whose ends or border have another colour."""
+    size_m = (canvas.rng.uniform(2.2, 4.8), canvas.rng.uniform(1.7, 2.6))
+    height_m = canvas.rng.uniform(2.2, 3.0)
+    _box(canvas, place, (*size_m, height_m), angle_rad, _painted(canvas))
+    band_m = canvas.rng.uniform(0.3, 1.2)
+    if canvas.rng.random() < 0.5:
+        middle = (size_m[0] - band_m, size_m[1] - min(band_m, 0.8))
+        _box(canvas, place, (*middle, height_m), angle_rad, _painted(canvas))
+    else:
+        end = beside(place, angle_rad, (size_m[0] - band_m) / 2, 0.0)
+        _box(canvas, end, (band_m, size_m[1], height_m), angle_rad, _painted(canvas))
+
+
+def add_stairs(canvas: Canvas, place: Place, angle_rad: float) -> None:
+    """Adds stairs that lead below the ground: dark steps between bright walls."""
+    size_m = (canvas.rng.uniform(3.0, 6.0), canvas.rng.uniform(1.8, 3.2))
+    _box(canvas, place, (*size_m, 1.0), angle_rad, canvas.pick(_SURROUNDS))
+    shaft = canvas.rectangle(place, (size_m[0] - 0.5, size_m[1] - 0.5), angle_rad)
+    if not shaft.empty:
+        steps = np.where(np.mod(shaft.u, 0.32) < 0.12, 0.55, 1.0)
+        deeper = 1 - canvas.rng.uniform(0.3, 0.9) * np.clip(0.5 + shaft.u / size_m[0], 0, 1)
+        tone = canvas.pick(_CONDITIONERS) * np.float32(0.5)
+        canvas.paint(shaft, tone * (steps * deeper)[..., None].astype(np.float32))
+
+
+def add_rubble(canvas: Canvas, place: Place, angle_rad: float) -> None:
+    """Adds a heap of pale and dark lumps."""
+    size_m = (canvas.rng.uniform(1.5, 5), canvas.rng.uniform(1.0, 2.5))
+    heap = canvas.rectangle(place, size_m, angle_rad, 0.5)
+    if not heap.empty:
+        lumps = canvas.noise("clump", heap)
+        tone = canvas.pick((*_RUBBLE, *_SURROUNDS))
+        canvas.raise_to(heap, np.clip(0.4 + 0.3 * lumps, 0, 1.2))
+        canvas.paint(heap, tone * np.exp(0.6 * lumps)[..., None], np.clip(0.8 + 0.5 * lumps, 0, 1))
+
+
+def add_shadow(canvas: Canvas, place: Place, angle_rad: float) -> None:
+    """Adds a shadow of a car's size without the car, as a sign or a wire's load casts one."""
+    size_m = (canvas.rng.uniform(2.5, 6), canvas.rng.uniform(1.2, 2.6))
+    dark = canvas.rectangle(place, size_m, angle_rad, canvas.rng.uniform(0, 0.5))
+    canvas.shade(dark, canvas.rng.uniform(0.15, 0.6))
+
+
 def add_pallets(canvas: Canvas, place: Place, angle_rad: float) -> None:
     """Adds stacks of pallets or wrapped goods, side by side."""
     rng = canvas.rng
@@ -165,11 +209,15 @@ CLUTTER: dict[str, Callable[[Canvas, Place, float], None]] = {
     "bench": add_bench,
     "bins": add_bins,
     "container": add_container,
+    "kiosk": add_kiosk,
     "painted box": add_painted_box,
     "pallets": add_pallets,
     "pool": add_pool,
+    "rubble": add_rubble,
+    "shadow": add_shadow,
     "shed": add_shed,
     "skip": add_skip,
+    "stairs": add_stairs,
     "tarpaulin": add_tarpaulin,
 }
 """Things that a careless detector takes for cars."""

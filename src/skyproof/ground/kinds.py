@@ -32,6 +32,7 @@ from skyproof.ground.surfaces import (
 )
 
 _LINE = reflectance((230, 228, 220))
+_STREET_THINGS = ("kiosk", "kiosk", "stairs", "stairs", "rubble", "bench", "bins", "shadow")
 _COURTS = palette("783c32 325a50 3c5078 787878")
 
 
@@ -96,7 +97,7 @@ def _draw_plot(
         add_hedge(canvas, (u_m, house_v + side * 5), depth_m + 14, math.pi / 2)
     if rng.random() < 0.6:
         gate = (u_m + 2.0, centre_v + side * (front_m + verge_m))
-        add_clutter(canvas, gate, math.pi / 2, "bins", "painted box", "skip", "tarpaulin")
+        add_clutter(canvas, gate, math.pi / 2, "bins", "painted box", "skip", "tarpaulin", "rubble")
     if rng.random() < 0.5:
         spot = (u_m + plot_m / 2, centre_v + side * (front_m + 1.5))
         add_bush(canvas, spot, rng.uniform(0.5, 1.6))
@@ -140,7 +141,12 @@ def draw_crossroads(canvas: Canvas) -> None:
             mark_guides(canvas, along, canvas.either(-1, 1) * (own_m / 2 + 1.5), crossed)
     for _ in range(rng.integers(1, 4)):
         spot = (canvas.either(-1, 1) * (other_m / 2 + 6), rng.normal(0, width_m / 3))
-        add_clutter(canvas, spot, 0.0, "painted box", "painted box", "skip", "pallets")
+        add_clutter(canvas, spot, 0.0, "painted box", "shadow", "skip", "pallets")
+    for _ in range(rng.integers(1, 5)):
+        beside_v = canvas.either(-1, 1) * (width_m / 2 + rng.uniform(1.0, pavement_m + 5))
+        spot = (rng.uniform(-1, 1) * canvas.reach_m, beside_v)
+        if abs(spot[0]) > other_m / 2 + 3 and canvas.base_height(spot) < 0.5:
+            add_clutter(canvas, spot, canvas.either(0, math.pi / 2), *_STREET_THINGS)
     for side in (-1, 1):
         add_street_furniture(canvas, side * (width_m / 2 + 1.0))
 
@@ -213,7 +219,7 @@ def _fill_bays(
         bay = (u_m, spine_v + canvas.either(-1, 1) * bay_m[1] / 2)
         draw = rng.random()
         if draw < 0.07:
-            kinds = ("painted box", "skip", "tarpaulin", "pallets", "container", "bins")
+            kinds = ("painted box", "skip", "tarpaulin", "pallets", "container", "bins", "shadow")
             add_clutter(canvas, bay, math.pi / 2, *kinds)
         elif draw < 0.13:
             stain = canvas.rectangle(bay, (bay_m[0] - 0.3, bay_m[1] - 0.6), 0.0, 0.5)
@@ -245,7 +251,7 @@ def draw_yard(canvas: Canvas) -> None:
         kind = canvas.either("metal", "flat", "metal", "village")
         add_building(canvas, place, size_m, 0.0, kind)
     goods = ("container", "container", "pallets", "skip", "painted box")
-    kinds = (*goods, "tarpaulin", "air conditioner", "shed", "bins")
+    kinds = (*goods, "tarpaulin", "air conditioner", "shed", "bins", "rubble", "kiosk", "shadow")
     for _ in range(rng.integers(8, 26)):
         place = (rng.uniform(-1, 1) * canvas.reach_m, rng.normal(0, 9))
         if canvas.base_height(place) < 0.5:
@@ -320,7 +326,7 @@ def draw_village(canvas: Canvas) -> None:
             kind = canvas.either("village", "village", "tiled", "metal")
             add_building(canvas, place, size_m, angle_rad, kind)
         elif draw < 0.85:
-            kinds = ("shed", "tarpaulin", "bins", "pallets", "painted box")
+            kinds = ("shed", "tarpaulin", "bins", "pallets", "painted box", "rubble", "kiosk")
             add_clutter(canvas, place, angle_rad, *kinds)
         for _ in range(rng.integers(0, 3)):
             spot = (place[0] + rng.uniform(-7, 7), place[1] + rng.uniform(-7, 7))
@@ -350,7 +356,7 @@ def draw_park(canvas: Canvas) -> None:
     for _ in range(rng.integers(0, 3)):
         place = (rng.uniform(-30, 30), rng.uniform(-30, 30))
         add_stand(canvas, place, rng.uniform(4, 12))
-    kinds = ("bench", "bench", "bins", "shed", "tarpaulin", "painted box")
+    kinds = ("bench", "bench", "bins", "shed", "tarpaulin", "painted box", "kiosk", "stairs")
     for _ in range(rng.integers(2, 9)):
         place = (rng.uniform(-25, 25), rng.uniform(-25, 25))
         add_clutter(canvas, place, rng.uniform(0, math.pi), *kinds)

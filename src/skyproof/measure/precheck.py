@@ -18,6 +18,7 @@ from skyproof.camouflage.make import make_camouflage
 from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.paint import LATTICE, TWO_TONES, Colour, plain_paint, two_tone_paint
 from skyproof.camouflage.palette import ground_palette
+from skyproof.camouflage.patterns import PATTERNS, draw_pattern
 from skyproof.detectors.detector import Detector
 from skyproof.errors import ConfigurationError
 from skyproof.measure.baseline import BaselineSet, measure_baselines
@@ -54,7 +55,7 @@ from skyproof.words import detector_name, hides, interval, percent
 BLURS_PX = (0.4, 0.7, 1.0, 1.4)
 """From the sharpest to the softest aerial photographs that we know, in pixels (sigma)."""
 
-CONTROLS = ("R-U", "R-Pix", "R-Fc", "R-PixFc", "R-Lc", "R-S-O@0.4")
+CONTROLS = ("R-U", "R-Pix", "R-Fc", "R-PixFc", "R-Lc", "R-S-O@0.4", *PATTERNS)
 
 SUN_ELEVATIONS_DEG = (10.0, 25.0, 45.0, 65.0)
 
@@ -105,7 +106,7 @@ def precheck(
     """Measures what plain changes hide from every detector, and its baselines.
 
     The scenes are rendered as they are, then once under each change: 27 plain paints on body panels
-    and 27 on the whole vehicle, eight two-tone paints, four sharpnesses, six random controls, four
+    and 27 on the whole vehicle, eight two-tone paints, four sharpnesses, ten random controls, four
     suns. Rates are by centres within 1 m at the frozen threshold. Nothing is written. `progress` is
     called with (images done, images in all). `skyproof.results.precheck` judges the records.
     """
@@ -180,6 +181,8 @@ def _hex(colour: Colour) -> str:
 
 
 def _control(text: str, draw: int, palette: Float[Tensor, "K 3"], seed: int) -> Camouflage:
+    if text in PATTERNS:
+        return draw_pattern(text, palette, generator=generator_of(seed, "gate", text, str(draw)))
     name = CamouflageName.parse(text).with_repeat(draw)
     generator = generator_of(seed, "gate", str(name))
     return make_camouflage(name, generator=generator, palette=palette).requires_grad_(False)

@@ -69,11 +69,12 @@ class WorldSizes:
 
     Attributes:
         tiles, vehicles: number in each split (train, validation, attack, test).
-        training_vehicles: most vehicles in a training image; others have 1 to 5.
-        training_places: where vehicles stand in training images: uniform, removed or drivable.
-        test_places: where they stand in validation, attack and test images.
-        parked_share: share of the training images with a row of parked vehicles, if places are
-            uniform.
+        training_vehicles: most vehicles in a training or validation image; others have 1 to 5.
+        training_places: where vehicles stand in these images: uniform, removed or drivable.
+        test_places: where they stand in attack and test images.
+        parked_share: share of these images with a row of parked vehicles, if places are uniform.
+        shaded_share: share of them with a vehicle in shade or beneath a crown, if there is one.
+        empty_share: share of them that show ground alone.
         paints, shapes: paints of the vehicles in training and validation images, and the share of
             them with a random shape.
     """
@@ -90,6 +91,8 @@ class WorldSizes:
     training_places: Places = "uniform"
     test_places: Places = "uniform"
     parked_share: Fraction = 0.5
+    shaded_share: Fraction = 0.3
+    empty_share: Fraction = 0.2
     training_conditions: tuple[str, ...] = MIXED_CONDITIONS
     paints: PaintVariety = field(default_factory=PaintVariety)
     shapes: Fraction = 0.25
@@ -103,14 +106,17 @@ class WorldSizes:
     def scenes(self, split: Rendered) -> SceneSettings:
         """Returns the settings of a split's scenes."""
         usual = SceneSettings(size_px=self.image_px, places=self.test_places)
-        if split == "train":
-            # Some training images are empty, so that detectors see ground alone, too.
+        if split in ("train", "validation"):
+            # Validation has what training has, in the same shares: a threshold that is chosen on
+            # clear days and without empty ground raises false alarms elsewhere.
+            uniform = self.training_places == "uniform"
             return replace(
                 usual,
-                vehicles_minimum=0,
                 vehicles_maximum=self.training_vehicles,
                 places=self.training_places,
-                parked_share=self.parked_share if self.training_places == "uniform" else 0.0,
+                parked_share=self.parked_share if uniform else 0.0,
+                shaded_share=self.shaded_share if uniform else 0.0,
+                empty_share=self.empty_share,
                 conditions=self.training_conditions,
             )
         if split == "empty":

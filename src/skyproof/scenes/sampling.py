@@ -17,6 +17,10 @@ from skyproof.scenes.weather import LOW_SUN_ELEVATION_RAD, draw_weather
 
 TRIES = 2000
 
+_SHADED_TRIES = 8
+_SHADED, _COVERED = 0.5, 0.15
+"""Shares of a footprint in shade, or beneath a crown or roof, from which a vehicle looks so."""
+
 WIDEST_GAP_M = (0.6, 1.5)
 """Gaps of parked vehicles side by side and bumper to bumper, on top of `gap_m`; our estimate."""
 LARGEST_SKEW_RAD = math.radians(3)
@@ -55,13 +59,19 @@ def sample_scenes(
 def _sample_scene(name: str, seed: int, draw: SceneDraw) -> Scene:
     """Draws all of one scene."""
     settings, backgrounds, generator = draw.settings, draw.backgrounds, draw.generator
-    if settings.places == "uniform":
-        window = backgrounds.sample_window(draw.split, settings.size_px, generator=generator)
-    else:
-        window, placements = place_vehicles(draw)
-    radius, camera_turn, sun_turn, sun_height = draw.uniforms(4)
-    if settings.places == "uniform":
-        placements = _sample_placements(draw)
+    shaded = settings.shaded_share and draw.uniforms(1)[0] < settings.shaded_share
+    for _ in range(_SHADED_TRIES if shaded else 1):
+        if settings.places == "uniform":
+            window = backgrounds.sample_window(draw.split, settings.size_px, generator=generator)
+        else:
+            window, placements = place_vehicles(draw)
+        radius, camera_turn, sun_turn, sun_height = draw.uniforms(4)
+        if settings.places == "uniform":
+            placements = _sample_placements(draw)
+        shadows = settings.sun == "photograph"
+        placements = standing(placements, backgrounds, window, draw.sizes_m, shadows=shadows)
+        if any(each.shade > _SHADED or each.covered > _COVERED for each in placements):
+            break
     # The weather is drawn last, so that everything else is the same under all conditions.
     choice = int(torch.randint(len(settings.conditions), (1,), generator=generator))
     condition = settings.conditions[choice]
@@ -80,8 +90,6 @@ def _sample_scene(name: str, seed: int, draw: SceneDraw) -> Scene:
         # A low sun comes from the photograph's side, with longer shadows than the photograph's.
         low = condition == "low_sun"
         sun = replace(photographed, elevation_rad=sun.elevation_rad) if low else photographed
-    shadows = settings.sun == "photograph"
-    placements = standing(placements, backgrounds, window, draw.sizes_m, shadows=shadows)
     return Scene(name, window, camera, sun, placements, seed, draw_weather(condition, strength))
 
 

@@ -40,6 +40,9 @@ class SceneSettings:
         places: places of vehicles: uniform (any place), removed (places of removed vehicles) or
             drivable (ground for vehicles, along its direction).
         parked_share: share of scenes with uniform places whose vehicles stand in a row.
+        shaded_share: share of scenes with uniform places that are drawn up to eight times, until a
+            vehicle stands half in shade or beneath a crown or roof.
+        empty_share: share of scenes without vehicles, beside those of which 0 was drawn.
         conditions: weather and light, each equally likely in every scene: clear, haze, rain,
             low_sun, overcast, exposure, noise, jpeg.
     """
@@ -55,6 +58,8 @@ class SceneSettings:
     margin_m: Suppress[_Clearance] = 2.0
     places: Places = "uniform"
     parked_share: Suppress[Fraction] = 0.0
+    shaded_share: Suppress[Fraction] = 0.0
+    empty_share: Suppress[Fraction] = 0.0
     conditions: tuple[str, ...] = ("clear",)
 
     def __post_init__(self) -> None:
@@ -69,11 +74,13 @@ class SceneSettings:
                 f"sun_elevation_minimum_rad {self.sun_elevation_minimum_rad} is above "
                 f"sun_elevation_maximum_rad {self.sun_elevation_maximum_rad}; change them."
             )
-        if self.parked_share and self.places != "uniform":
-            raise ConfigurationError(
-                f"parked_share {self.parked_share:g} is a share of uniform places, but places are "
-                f"{self.places}; give 0."
-            )
+        for name in ("parked_share", "shaded_share"):
+            share = getattr(self, name)
+            if share and self.places != "uniform":
+                raise ConfigurationError(
+                    f"{name} {share:g} is a share of uniform places, but places are "
+                    f"{self.places}; give 0."
+                )
         unknown = sorted(set(self.conditions) - set(CONDITIONS))
         if unknown or not self.conditions:
             raise ConfigurationError(

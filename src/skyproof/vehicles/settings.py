@@ -30,7 +30,7 @@ class PaintVariety:
         two_tone: share in two such colours, with another one on roof, upper or lower half.
         livery: share with such colours in stripes, bands, chequers and panels.
         patterned: share with random patterns, drawn like the random controls of all textures; six
-            of fourteen lie on painted panels alone.
+            of eighteen lie on painted panels alone.
     """
 
     plain: Fraction = 0.15
