@@ -8,6 +8,7 @@ import torch
 
 from skyproof.geometry.colour import srgb_to_cielab
 from skyproof.ground.canvas import Canvas
+from skyproof.ground.clutter import CLUTTER
 from skyproof.ground.kinds import draw_car_park
 from skyproof.ground.procedural import GROUND_KINDS, GroundSensor, draw_ground, photograph, sunlight
 
@@ -30,6 +31,17 @@ def test_every_kind_draws(kind):
     assert image.shape == (3, 128, 128)
     assert image.std() > 4
     assert np.abs(np.diff(image.astype(float), axis=2)).mean() > 0.5
+
+
+@pytest.mark.parametrize("kind", list(CLUTTER))
+def test_every_lookalike_changes_the_ground_about_its_place(kind):
+    canvas = _flat_canvas(0.0)
+    CLUTTER[kind](canvas, (0.0, 0.0), 0.3)
+    changed = np.abs(canvas.reflectance - 0.3).max(2) > 0.02
+    # Between a bin and a container: nothing is drawn elsewhere, and nothing is too small to see.
+    assert 0.4 < changed.sum() * 0.125**2 < 60
+    middle = canvas.pixels // 2
+    assert changed[middle - 24 : middle + 24, middle - 24 : middle + 24].any()
 
 
 def test_seeds_repeat_and_differ():

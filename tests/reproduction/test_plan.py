@@ -347,11 +347,11 @@ def test_a_preset_says_where_vehicles_stand():
     }
     assert {split: settings.places for split, settings in drawn.items()} == {
         "train": "removed",
-        "validation": "drivable",
+        "validation": "removed",
         "test": "drivable",
     }
     # Rows of parked vehicles are for uniform places, which are the default.
-    assert drawn["train"].parked_share == 0
+    assert drawn["train"].parked_share == drawn["train"].shaded_share == 0
     assert WorldSizes().scenes("train").parked_share == 0.5
     learnt = [step.settings for step in plan.steps if step.kind == "attack"]
     assert {command.places for command in learnt} == {"drivable"}
@@ -359,6 +359,16 @@ def test_a_preset_says_where_vehicles_stand():
         assert WorldSizes().scenes(split).places == "uniform"
     with pytest.raises(ConfigurationError, match="roofs"):
         Preset.parse({**TINY, "world": {**world, "test_places": "roofs"}})
+
+
+def test_a_threshold_is_frozen_on_scenes_like_those_of_training_and_measured_on_clear_days():
+    world = WorldSizes(empty_share=0.3, shaded_share=0.4)
+    frozen_on = replace(world.scenes("train"), empty_share=0.5)
+    assert world.scenes("validation") == frozen_on
+    assert world.scenes("train").empty_share == 0.3
+    assert world.scenes("train").shaded_share == 0.4
+    usual = world.scenes("test")
+    assert (usual.empty_share, usual.shaded_share, usual.conditions) == (0, 0, ("clear",))
 
 
 @cache

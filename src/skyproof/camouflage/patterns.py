@@ -34,7 +34,7 @@ _LETTERS = tuple(
 def _stripes(rng: np.random.Generator, colours: int) -> _Colours:
     """Stripes of one width at any angle."""
     y, x = np.mgrid[:TEXTURE_SIZE, :TEXTURE_SIZE]
-    angle_rad, width = rng.uniform(0, math.pi), _size(rng, 8, 64)
+    angle_rad, width = rng.uniform(0, math.pi), _size(rng, 8.0, 64.0)
     across = x * math.cos(angle_rad) + y * math.sin(angle_rad)
     return np.asarray(np.floor(across / width).astype(int) % colours)
 
@@ -43,7 +43,7 @@ def _blobs(rng: np.random.Generator, colours: int) -> _Colours:
     """Ellipses of similar size, twice as many as would cover the map side by side."""
     picture = Image.new("L", (TEXTURE_SIZE, TEXTURE_SIZE))
     draw = ImageDraw.Draw(picture)
-    radius = _size(rng, 12, 64)
+    radius = _size(rng, 12.0, 64.0)
     for _ in range(round(2 * TEXTURE_SIZE**2 / (math.pi * radius**2))):
         x, y = rng.uniform(0, TEXTURE_SIZE, 2)
         half_x, half_y = radius * np.exp(rng.normal(0, 0.4, 2))
@@ -75,7 +75,7 @@ def _noise(rng: np.random.Generator, colours: int) -> _Colours:
 
 def _lettering(rng: np.random.Generator, colours: int) -> _Colours:
     """Rows of capital letters in other colours than their ground."""
-    square = round(_size(rng, 6, 24))
+    square = round(_size(rng, 6.0, 24.0))
     side = TEXTURE_SIZE // square + 1
     map_ = np.zeros((side, side), int)
     for top in range(0, side - 4, 6):

@@ -16,8 +16,8 @@ from skyproof.detectors.inference import WINDOW_PX, detect_all
 from skyproof.detectors.matching import MatchTable, match_images
 from skyproof.errors import ConfigurationError
 
-# Validation images cannot tell thresholds apart if their F1 differs by no more than this: about twice
-# the standard error of F1 on 500 vehicles.
+# Validation images cannot tell thresholds apart if their F1 differs by no more than this: about
+# twice the standard error of F1 on 500 vehicles.
 _FLAT_F1 = 0.01
 # An average precision that boxes do not reach by chance if they are read in a wrong way.
 _MISPLACED_AP = 0.5

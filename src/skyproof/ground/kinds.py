@@ -219,7 +219,7 @@ def _fill_bays(
         bay = (u_m, spine_v + canvas.either(-1, 1) * bay_m[1] / 2)
         draw = rng.random()
         if draw < 0.07:
-            kinds = ("painted box", "skip", "tarpaulin", "pallets", "container", "bins", "shadow")
+            kinds = ("painted box", "skip", "tarpaulin", "pallets", "container", "bins")
             add_clutter(canvas, bay, math.pi / 2, *kinds)
         elif draw < 0.13:
             stain = canvas.rectangle(bay, (bay_m[0] - 0.3, bay_m[1] - 0.6), 0.0, 0.5)

@@ -18,8 +18,8 @@ from skyproof.scenes.weather import LOW_SUN_ELEVATION_RAD, draw_weather
 TRIES = 2000
 
 _SHADED_TRIES = 8
+# Shares of a footprint in shade, or beneath a crown or roof, from which a vehicle looks so.
 _SHADED, _COVERED = 0.5, 0.15
-"""Shares of a footprint in shade, or beneath a crown or roof, from which a vehicle looks so."""
 
 WIDEST_GAP_M = (0.6, 1.5)
 """Gaps of parked vehicles side by side and bumper to bumper, on top of `gap_m`; our estimate."""
@@ -60,7 +60,7 @@ def _sample_scene(name: str, seed: int, draw: SceneDraw) -> Scene:
     """Draws all of one scene."""
     settings, backgrounds, generator = draw.settings, draw.backgrounds, draw.generator
     shaded = settings.shaded_share and draw.uniforms(1)[0] < settings.shaded_share
-    for _ in range(_SHADED_TRIES if shaded else 1):
+    for attempt in range(_SHADED_TRIES if shaded else 1):
         if settings.places == "uniform":
             window = backgrounds.sample_window(draw.split, settings.size_px, generator=generator)
         else:
@@ -70,7 +70,9 @@ def _sample_scene(name: str, seed: int, draw: SceneDraw) -> Scene:
             placements = _sample_placements(draw)
         shadows = settings.sun == "photograph"
         placements = standing(placements, backgrounds, window, draw.sizes_m, shadows=shadows)
-        if any(each.shade > _SHADED or each.covered > _COVERED for each in placements):
+        in_shade = any(each.shade > _SHADED or each.covered > _COVERED for each in placements)
+        # A scene that is to be empty stays so.
+        if in_shade or (not placements and attempt == 0):
             break
     # The weather is drawn last, so that everything else is the same under all conditions.
     choice = int(torch.randint(len(settings.conditions), (1,), generator=generator))
