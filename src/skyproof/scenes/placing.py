@@ -51,9 +51,6 @@ class SceneDraw:
 
     def number(self) -> int:
         """Draws the number of vehicles."""
-        # Without empty scenes nothing is drawn, so that such scenes never change.
-        if self.settings.empty_share and self.uniforms(1)[0] < self.settings.empty_share:
-            return 0
         least = self.settings.vehicles_minimum
         span = self.settings.vehicles_maximum - least + 1
         return least + int(torch.randint(span, (1,), generator=self.generator))

@@ -59,8 +59,12 @@ def sample_scenes(
 def _sample_scene(name: str, seed: int, draw: SceneDraw) -> Scene:
     """Draws all of one scene."""
     settings, backgrounds, generator = draw.settings, draw.backgrounds, draw.generator
+    # Without such shares nothing is drawn, so that scenes without them never change.
+    if settings.empty_share and draw.uniforms(1)[0] < settings.empty_share:
+        settings = replace(settings, vehicles_minimum=0, vehicles_maximum=0)
+        draw = replace(draw, settings=settings)
     shaded = settings.shaded_share and draw.uniforms(1)[0] < settings.shaded_share
-    for attempt in range(_SHADED_TRIES if shaded else 1):
+    for _ in range(_SHADED_TRIES if shaded else 1):
         if settings.places == "uniform":
             window = backgrounds.sample_window(draw.split, settings.size_px, generator=generator)
         else:
@@ -71,8 +75,7 @@ def _sample_scene(name: str, seed: int, draw: SceneDraw) -> Scene:
         shadows = settings.sun == "photograph"
         placements = standing(placements, backgrounds, window, draw.sizes_m, shadows=shadows)
         in_shade = any(each.shade > _SHADED or each.covered > _COVERED for each in placements)
-        # A scene that is to be empty stays so.
-        if in_shade or (not placements and attempt == 0):
+        if in_shade or not placements:
             break
     # The weather is drawn last, so that everything else is the same under all conditions.
     choice = int(torch.randint(len(settings.conditions), (1,), generator=generator))
