@@ -161,13 +161,6 @@ def add_rubble(canvas: Canvas, place: Place, angle_rad: float) -> None:
         canvas.paint(heap, tone * np.exp(0.6 * lumps)[..., None], np.clip(0.8 + 0.5 * lumps, 0, 1))
 
 
-def add_shadow(canvas: Canvas, place: Place, angle_rad: float) -> None:
-    """Adds a shadow of a car's size without the car, as a sign or a wire's load casts one."""
-    size_m = (canvas.rng.uniform(2.5, 6), canvas.rng.uniform(1.2, 2.6))
-    dark = canvas.rectangle(place, size_m, angle_rad, canvas.rng.uniform(0, 0.5))
-    canvas.shade(dark, canvas.rng.uniform(0.15, 0.6))
-
-
 def add_pallets(canvas: Canvas, place: Place, angle_rad: float) -> None:
     """Adds stacks of pallets or wrapped goods, side by side."""
     rng = canvas.rng
@@ -214,7 +207,6 @@ CLUTTER: dict[str, Callable[[Canvas, Place, float], None]] = {
     "pallets": add_pallets,
     "pool": add_pool,
     "rubble": add_rubble,
-    "shadow": add_shadow,
     "shed": add_shed,
     "skip": add_skip,
     "stairs": add_stairs,

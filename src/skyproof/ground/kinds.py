@@ -32,7 +32,7 @@ from skyproof.ground.surfaces import (
 )
 
 _LINE = reflectance((230, 228, 220))
-_STREET_THINGS = ("kiosk", "kiosk", "stairs", "stairs", "rubble", "bench", "bins", "shadow")
+_STREET_THINGS = ("kiosk", "kiosk", "stairs", "stairs", "rubble", "bench", "bins")
 _COURTS = palette("783c32 325a50 3c5078 787878")
 
 
@@ -141,7 +141,7 @@ def draw_crossroads(canvas: Canvas) -> None:
             mark_guides(canvas, along, canvas.either(-1, 1) * (own_m / 2 + 1.5), crossed)
     for _ in range(rng.integers(1, 4)):
         spot = (canvas.either(-1, 1) * (other_m / 2 + 6), rng.normal(0, width_m / 3))
-        add_clutter(canvas, spot, 0.0, "painted box", "shadow", "skip", "pallets")
+        add_clutter(canvas, spot, 0.0, "painted box", "painted box", "skip", "pallets")
     for _ in range(rng.integers(1, 5)):
         beside_v = canvas.either(-1, 1) * (width_m / 2 + rng.uniform(1.0, pavement_m + 5))
         spot = (rng.uniform(-1, 1) * canvas.reach_m, beside_v)
@@ -251,7 +251,7 @@ def draw_yard(canvas: Canvas) -> None:
         kind = canvas.either("metal", "flat", "metal", "village")
         add_building(canvas, place, size_m, 0.0, kind)
     goods = ("container", "container", "pallets", "skip", "painted box")
-    kinds = (*goods, "tarpaulin", "air conditioner", "shed", "bins", "rubble", "kiosk", "shadow")
+    kinds = (*goods, "tarpaulin", "air conditioner", "shed", "bins", "rubble", "kiosk")
     for _ in range(rng.integers(8, 26)):
         place = (rng.uniform(-1, 1) * canvas.reach_m, rng.normal(0, 9))
         if canvas.base_height(place) < 0.5:
