@@ -131,7 +131,7 @@ def test_the_fleet_wears_paints_of_enough_labelled_vehicles(
     assert [source.get("paint") for source in fleet.sources.values()] == [
         "of a labelled vehicle"
     ] * (3 * own)
-    assert ("paints of cars worldwide" in capsys.readouterr().out) != own
+    assert ("have the usual paints" in capsys.readouterr().out) != own
 
 
 def test_a_run_stops_where_no_verdict_is_possible_any_more(tmp_path):

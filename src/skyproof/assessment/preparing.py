@@ -212,7 +212,7 @@ def fleets(its: Subject, layout: Layout, title: str = "fleets") -> Step:
             if len(worn) < _FEWEST_PAINTS:
                 say(
                     f"  note: {counted(len(worn), 'labelled vehicle')} show their paint, and "
-                    f"{_FEWEST_PAINTS} are enough, so vehicles have the paints of cars worldwide"
+                    f"{_FEWEST_PAINTS} are enough, so vehicles have the usual paints"
                 )
                 worn = None
         draw_fleets(layout.fleets, counts, drawn, its.seed, partial(sample_fleet, worn=worn))
