@@ -321,7 +321,7 @@ def _caption(scene: Scene) -> str:
 
 
 def draw_demo_result(run_folder: Path, count: int = 4) -> Image.Image:
-    """The first matched pairs of a demo's report: above without, below with the learnt texture."""
+    """The first matched pairs of a demo's report: above without, below with the optimised texture."""
     results = Results.open(run_folder)
     if results.sources != ["procedural"]:
         raise SystemExit(
@@ -337,7 +337,7 @@ def draw_demo_result(run_folder: Path, count: int = 4) -> Image.Image:
     pen = ImageDraw.Draw(sheet)
     texts = (
         "As built. RetinaNet: found green, missed orange and dashed, false alarm yellow and dotted",
-        "The same scenes with the learnt texture T-U",
+        "The same scenes with the optimised texture T-U",
     )
     for number, (row, text) in enumerate(zip(rows, texts, strict=True)):
         top = number * (side + label)
