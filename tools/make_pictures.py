@@ -321,7 +321,7 @@ def _caption(scene: Scene) -> str:
 
 
 def draw_demo_result(run_folder: Path, count: int = 4) -> Image.Image:
-    """The first matched pairs of a demo's report: above without, below with the optimised texture."""
+    """The first matched pairs of a demo's report: above without, below with the texture."""
     results = Results.open(run_folder)
     if results.sources != ["procedural"]:
         raise SystemExit(

@@ -301,12 +301,12 @@ def test_images_cover_the_same_ground_at_every_resolution(gsd_m, image_px, attac
     assert (its.image_px, its.attack_px) == (image_px, attack_px)
 
 
-def test_version_three_is_frozen():
+def test_version_four_is_frozen():
     """Another suite is another version: numbers of one cannot be compared with the other's."""
-    assert SUITE.version == 3
+    assert SUITE.version == 4
     assert (
         file_digest(SUITE_FILE)
-        == "0ec7a27fea5956d8913d15b025a53318350ec8f75c937b7d57bf1dc1d7722ef7"
+        == "cf28f5bcadb546e9f5bd4dfbab44aeb792f3eb75797ce954fb30641f8950778a"
     )
 
 
@@ -314,4 +314,4 @@ def test_what_each_attack_reached_is_stored_with_the_suite():
     assert set(SUITE.expected) == set(REFERENCE_DETECTORS)
     for of_attack in SUITE.expected.values():
         assert tuple(of_attack) == SUITE.attacks
-        assert all(0 < one.low < one.easr < one.high < 1 for one in of_attack.values())
+        assert all(0 < one.low < one.easr < one.high <= 1 for one in of_attack.values())
