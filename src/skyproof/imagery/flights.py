@@ -17,7 +17,7 @@ def flights_of(sources: Sequence[Source]) -> list[str]:
     """Names the flight of each source by its first photograph.
 
     A flight's photographs lie in one folder and one reference system, their names differ in their
-    last number alone, and those that state their time have none an hour earlier or later.
+    last number alone, and none that states its time was taken over an hour after the one before.
     """
     series: dict[tuple[Path, str, str], list[Source]] = defaultdict(list)
     for one in sources:

@@ -42,7 +42,7 @@ class SceneSettings:
         parked_share: share of scenes with uniform places whose vehicles stand in a row.
         shaded_share: share of scenes with uniform places that are drawn up to eight times, until a
             vehicle stands half in shade or beneath a crown or roof.
-        empty_share: share of scenes without vehicles, beside those of which 0 was drawn.
+        empty_share: share of scenes that get no vehicle, whatever number would be drawn.
         conditions: weather and light, each equally likely in every scene: clear, haze, rain,
             low_sun, overcast, exposure, noise, jpeg.
     """
