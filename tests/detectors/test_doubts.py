@@ -57,6 +57,12 @@ def test_an_imported_detector_gets_another_remedy() -> None:
     assert "--vehicle-classes" in sentence
 
 
+def test_a_threshold_frozen_on_labels_doubts_the_labels() -> None:
+    card = DetectorCard("mine", threshold=0.5, gsd_m=0.125, size="slim", threshold_from="labels")
+    (sentence,) = replace(card, validation={"ap_centre_1m": 0.01}).doubts
+    assert "check the labels and the metres per pixel" in sentence
+
+
 def test_the_card_keeps_what_the_doubts_come_from(tmp_path: Path) -> None:
     detector = build_detector("retinanet", "slim", generator=torch.Generator().manual_seed(0))
     card = DetectorCard(

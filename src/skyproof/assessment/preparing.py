@@ -48,13 +48,14 @@ _FEWEST_PAINTS = 20
 vehicle has is then known to 9 points (standard deviation)."""
 
 _FEW = (
-    "because labels give fewer sunlit places with a heading than "
+    "labels give fewer sunlit places with a heading than "
     f"{ENOUGH_PLACES['test']} on test and {ENOUGH_PLACES['attack']} on attack tiles"
 )
 _STAND = {
     "removed": "vehicles stand where labelled ones stood",
-    "drivable": f"vehicles stand on drivable ground, {_FEW}",
-    "uniform": f"vehicles stand anywhere, even on roofs, {_FEW}, and drivable ground was not found",
+    "drivable": "vehicles stand on drivable ground, because {why}",
+    "uniform": "vehicles stand anywhere, even on roofs, because {why}, and drivable ground was not "
+    "found",
 }
 
 _LONG_S = 60.0
@@ -230,7 +231,8 @@ def scenes(its: Subject, layout: Layout, split: Split, title: str = "") -> Step:
         places: Places = "uniform"
         if layout == its.layout and its.request.imagery:
             places = its.places
-            say(f"  note: {_STAND[places]}")
+            why = _FEW if its.labelled else "there are no labels"
+            say(f"  note: {_STAND[places].format(why=why)}")
         draw_scenes(
             backgrounds=layout.backgrounds,
             fleet=layout.fleets / split,

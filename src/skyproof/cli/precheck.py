@@ -149,6 +149,8 @@ class Precheck:
         labelled = {each.name: each.images for each in frames}
         told = copy_with_threshold(folder, labelled, out, choose_device(self.device))
         say(f"{told} Detector: {out.resolve()}")
+        for doubt in read_card(out).doubts:
+            say(f"Warning: {doubt}")
 
 
 def _known(folder: Path, wanted: MeasuredOn) -> PrecheckRecord:

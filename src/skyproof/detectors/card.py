@@ -88,7 +88,9 @@ class DetectorCard:
         found = []
         if ap is not None and ap < LEAST_AP:
             remedy = (
-                "train it longer or on more images"
+                "check the labels and the metres per pixel of the imagery"
+                if self.threshold_from
+                else "train it longer or on more images"
                 if self.brought is None and self.size
                 else "check its boxes and the metres per pixel that it was made for"
                 if self.brought is None

@@ -175,8 +175,14 @@ def copy_with_threshold(
         (detector,) = load_ensemble([folder], device, read_card(folder).gsd_m)
         images = Dataset.joined(list(labelled.values()))
         remedy = "give other frames, or train it longer or on more images"
-        threshold = frozen_card(detector, images, remedy).threshold
-        how = f"the lowest within a point of the best F1 on labelled images ({', '.join(labelled)})"
-        card = replace(detector.card, threshold=threshold, threshold_from=how)
+        frozen = frozen_card(detector, images, remedy)
+        how = f"the middle of those within a point of the best F1 on {', '.join(labelled)}"
+        card = replace(
+            detector.card,
+            threshold=frozen.threshold,
+            threshold_from=how,
+            validation=frozen.validation,
+            validation_vehicles=frozen.validation_vehicles,
+        )
         save_detector(partial, detector, card)
-    return f"Threshold {threshold:.3f} instead of {detector.threshold:.3f}: {how}."
+    return f"Threshold {card.threshold:.3f} instead of {detector.threshold:.3f}: {how}."
