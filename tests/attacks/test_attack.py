@@ -11,6 +11,7 @@ from torch import nn
 
 from skyproof.attacks.attack import add_gradients, attack
 from skyproof.attacks.objective import (
+    OBJECTIVES,
     balanced_weights,
     empty_truth_losses,
     frozen,
@@ -218,7 +219,7 @@ def test_a_checkpoint_of_another_attack_or_a_damaged_one_is_refused(tmp_path, wo
     with pytest.raises(RunFolderError, match="other detectors"):
         attack(start(), [StandIn(seed=1)], world, FEW, tmp_path)
     # An attack that an earlier version began, which minimised something else.
-    monkeypatch.setattr("skyproof.attacks.attack.OBJECTIVE", "the losses")
+    monkeypatch.setitem(OBJECTIVES, "skyproof", "the losses")
     with pytest.raises(RunFolderError, match="other settings"):
         attack(start(), [StandIn()], world, FEW, tmp_path)
     monkeypatch.undo()
@@ -389,6 +390,7 @@ def test_an_attack_has_exactly_one_vehicle_per_image(world, minimum, maximum):
         {"keep_at": (0,)},
         {"keep_at": (401,)},
         {"seed": 2**63},
+        {"method": "literal"},
     ],
     ids=lambda changed: next(iter(changed)),
 )

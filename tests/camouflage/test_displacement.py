@@ -76,6 +76,33 @@ def test_without_a_generator_it_starts_half_way_out(cars):
     assert torch.allclose(moved(camouflage, cars).norm(dim=-1).amax(1), 0.5 * width)
 
 
+def test_the_papers_map_starts_with_zeros_and_is_shown_by_its_sigmoid(cars):
+    camouflage = DisplacementMap(named(0.6))
+    camouflage.paper_form_(True)
+    assert (camouflage.reach == 0).all()
+    change = moved(camouflage, cars).double()
+    direction, _ = radii(cars)
+    width = (cars.vertices[..., 1].amax(1) - cars.vertices[..., 1].amin(1)).double()
+    half_way = (0.5 * 0.6 * width)[:, None, None] * direction
+    far = change.norm(dim=-1) > 0.99 * 0.5 * 0.6 * width[:, None]
+    assert far.float().mean() > 0.3
+    assert (change - half_way)[far].abs().max() < 1e-5
+    # The slope of the sigmoid at zero is a quarter, and mirrored texels share it.
+    camouflage.map()[20, 10].backward()
+    assert camouflage.reach.grad[20, 10] == camouflage.reach.grad[20, 53] == 0.125
+    with torch.no_grad():
+        camouflage.reach[20, 10] = 3.0
+        camouflage.reach[40, 10] = -9.0
+    camouflage.project_()
+    assert camouflage.reach[40, 10] == -9.0
+    shown = camouflage.map().detach()
+    assert float(shown[20, 53]) == pytest.approx(1 / (1 + math.exp(-1.5)))
+    before = moved(camouflage, cars)
+    camouflage.finalise()
+    assert torch.equal(camouflage.reach.detach(), shown)
+    assert torch.allclose(moved(camouflage, cars), before, atol=1e-6)
+
+
 @pytest.mark.parametrize("magnitude", [0.1, 0.4, 1.0])
 def test_no_vertex_moves_further_than_pm_times_the_width_and_none_inward(cars, magnitude):
     change = moved(random_map(magnitude), cars).double()

@@ -118,6 +118,15 @@ def test_a_parallel_attack_takes_turns():
         assert len(learnt) == 1
         turns.append(learnt.pop())
     assert turns == ["texture"] * 3 + ["shape"] * 3 + ["texture"] * 3 + ["shape"]
+    # A softmax of the paper's form on the turn of the shape would make the texture forget.
+    both.paper_form_(True)
+    both.before_step_(4, 10)
+    before = both.texture.cells.detach().clone()
+    both.project_()
+    assert torch.equal(both.texture.cells, before)
+    both.before_step_(7, 10)
+    both.project_()
+    assert not torch.equal(both.texture.cells, before)
     assert both.learning_rates["texture.cells"] == both.texture.learning_rates["cells"]
 
 

@@ -156,6 +156,48 @@ def test_the_mixture_is_a_softmax_of_logits_over_the_temperature():
     assert not torch.allclose(camouflage.map()[:, 16, 0], wanted, atol=1e-3)
 
 
+def test_the_papers_mixture_is_two_softmaxes_of_probabilities():
+    camouflage = texture(TextureConstraints(True, "fixed"), seed=3)
+    uniform = camouflage.cells.detach().exp()
+    camouflage.paper_form_(True)
+    # It starts from uniform draws, divided by their sum.
+    assert torch.allclose(camouflage.cells, uniform / uniform.sum(0))
+    p = [0.1, 0.2, 0.05, 0.25, 0.4]
+    with torch.no_grad():
+        camouflage.cells[:, 0, 0] = torch.tensor(p)
+    for _ in range(2):
+        # s(r) = exp(ln(r) / 0.5) / sum, the square of each, divided by the sum of squares.
+        p = [each**2 / sum(other**2 for other in p) for each in p]
+    wanted = sum(weight * colour for weight, colour in zip(p, PALETTE, strict=True))
+    camouflage.before_step_(5, 5)
+    assert torch.allclose(camouflage.map()[:, 0, 0], wanted, atol=1e-6)
+    shown = camouflage.map().detach()
+    camouflage.paper_form_(False)
+    assert torch.allclose(camouflage.map(), shown, atol=1e-6)
+    camouflage.finalise()
+    assert torch.equal(camouflage.map()[:, 0, 0], PALETTE[4])
+
+
+def test_a_softmax_after_every_step_keeps_probabilities_and_forgets_them():
+    camouflage = texture(TextureConstraints(True, "learnt"))
+    camouflage.paper_form_(True)
+    with torch.no_grad():
+        camouflage.cells[:, 0, 0] = torch.tensor([0.96, 0.01, 0.01, 0.01, 0.01])
+    wanted = torch.tensor([0.96, 0.01, 0.01, 0.01, 0.01])
+    apart = [float((camouflage.cells.detach() - 0.2).abs().max())]
+    for _ in range(6):
+        camouflage.project_()
+        wanted = wanted.exp() / wanted.exp().sum()
+        assert torch.allclose(camouflage.cells[:, 0, 0], wanted, atol=1e-6)
+        assert torch.allclose(camouflage.cells.sum(0), torch.ones(32, 32))
+        assert camouflage.cells.min() > 0
+        apart.append(float((camouflage.cells.detach() - 0.2).abs().max()))
+    # Without any gradient the largest falls from 0.96 to one fifth.
+    assert apart[0] == pytest.approx(0.76)
+    assert apart[-1] < 1e-3
+    assert apart == sorted(apart, reverse=True)
+
+
 def test_annealing_leaves_little_to_the_last_rounding(vehicles):
     annealed = learn(texture(TextureConstraints(True, "learnt")), vehicles, steps=20)
     soft = annealed.map().detach()

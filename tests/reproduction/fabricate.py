@@ -101,7 +101,7 @@ def write_looks(folder, faces, *, pairs=(), **more):
     )
 
 
-def write_attack(folder, name, *, detectors=DETECTORS, fell=8, change=-0.1, added=0.01):
+def write_attack(folder, name, *, detectors=DETECTORS, fell=8, change=-0.1, added=0.01, **settings):
     """Writes a camouflage.json with what an attack records; `added` in the second half of it."""
     signs = {
         d: {"scenes": 8, "fell": fell, "p": 0.5**fell, "mean_change": change} for d in detectors
@@ -110,7 +110,7 @@ def write_attack(folder, name, *, detectors=DETECTORS, fell=8, change=-0.1, adde
     attack = {
         "camouflage": name,
         "detectors": dict.fromkeys(detectors, "digest"),
-        "settings": {},
+        "settings": settings,
         "scenes": {},
     }
     convergence = {

@@ -196,6 +196,16 @@ def test_an_attack_that_still_gets_stronger_is_named(folder):
     assert "T-U: the second half of the steps still added over 2 points" in report
 
 
+def test_attacks_by_the_papers_method_are_named(folder):
+    page = write_reproduction(folder).read_text()
+    assert "Method of the attacks: skyproof." in page
+    assert "by the paper’s method" not in (folder / "report.html").read_text()
+    write_attack(folder, "T-U-1", method="paper")
+    page = write_reproduction(folder).read_text()
+    assert "Method of the attacks: paper, skyproof." in page
+    assert "<li>T-U: optimised by the paper’s method" in (folder / "report.html").read_text()
+
+
 def test_rates_by_overlap_and_false_alarms(folder):
     nothing = Interval(math.nan, math.nan, math.nan)
     empty = Baseline(

@@ -16,7 +16,7 @@ from torch.optim.lr_scheduler import LambdaLR
 
 from skyproof.attacks.held_out import HeldOut, at_a_time
 from skyproof.attacks.objective import (
-    OBJECTIVE,
+    OBJECTIVES,
     Objective,
     balanced_weights,
     empty_truth_losses,
@@ -24,7 +24,7 @@ from skyproof.attacks.objective import (
     objective,
     objective_and_gradient,
 )
-from skyproof.attacks.settings import AttackSettings
+from skyproof.attacks.settings import AttackSettings, Method
 from skyproof.attacks.world import World
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.folder import (
@@ -61,19 +61,21 @@ def attack(
 ) -> Camouflage:
     """Optimises the camouflage so that the ensemble's losses against an empty truth fall.
 
-    The weights of the losses make every detector's term 1 on vehicles without camouflage. Scenes
-    depend on the seed and the step alone, so a stopped attack continues exactly from its last
-    checkpoint. A finished folder is not touched again. A search control ("R-PixFc_search") takes
-    random changes instead of gradients, on as many images, with `AttackSettings.of_search`.
+    The weights of the losses make every detector's term 1 on vehicles without camouflage (method
+    "paper": in the camouflage as it starts). Scenes depend on the seed and the step alone, so a
+    stopped attack continues exactly from its last checkpoint. A finished folder is not touched
+    again. A search control ("R-PixFc_search") takes random changes instead of gradients, on as many
+    images, with `AttackSettings.of_search`.
 
     Differences from the paper: losses are normalised per image and the weights computed. The
-    attack minimises the sum of the losses' logarithms (see `objective`), by Adam.
+    attack minimises the sum of the losses' logarithms (see `objective`), by Adam. The method
+    "paper" stays nearer to it (see `AttackSettings`).
 
     Args:
         camouflage: on the device to work on; optimised in place.
         detectors: on the same device; not changed, which is checked.
         world: world of the attack.
-        settings: steps, batch, learning rate, seed.
+        settings: method, steps, batch, learning rate, seed.
         folder: gets `steps.jsonl`, `previews/`, and at the end the camouflage.
         held_out: measures the camouflage half-way and at the end, so that `camouflage.json` says
             whether the attack has converged.
@@ -95,7 +97,7 @@ def attack(
         "detectors": {detector.name: weights_digest(detector) for detector in detectors},
         "settings": asdict(settings),
         "scenes": asdict(world.scenes),
-        "objective": OBJECTIVE,
+        "objective": OBJECTIVES[settings.method],
         "start": _start(camouflage),
         "world_sha256": world.digest,
     }
@@ -126,6 +128,8 @@ def attack(
         # Another process may have finished it in the meantime.
         if (folder / "camouflage.json").exists():
             return _finished(camouflage, folder, identity)
+        if optimiser is not None:
+            camouflage.paper_form_(settings.method == "paper")
         more = record() if record else {}
         loop.resume()
         run = _Run(camouflage, detectors, world, settings, loop, held_out)
@@ -171,7 +175,7 @@ class _Run:
         """Takes the remaining steps and finalises the camouflage; returns the facts to record."""
         camouflage, settings, facts = self.camouflage, self.settings, self.loop.facts
         if "weights" not in facts:
-            facts["weights"] = attack_weights(self.detectors, self.world, settings)
+            facts["weights"] = attack_weights(camouflage, self.detectors, self.world, settings)
         for step in self.loop:
             now, images = take()
             row = {"step": step, "loss": now.loss, "losses": now.losses}
@@ -212,7 +216,8 @@ class _Run:
         @torch.no_grad()
         def show(camouflage: Camouflage) -> _Batch:
             images = self.world.frames(camouflage, scenes).image
-            return objective(self.detectors, self.loop.facts["weights"], images), images
+            weights = self.loop.facts["weights"]
+            return objective(self.detectors, weights, images, settings.method), images
 
         before, after = at_a_time(show, (self.camouflage, other), self.detectors)
         if after[0].loss < before[0].loss:
@@ -226,7 +231,9 @@ class _Run:
         camouflage.before_step_(step, settings.steps)
         scenes = self.world.step_scenes(settings.batch_size, settings.seed, step)
         weights = self.loop.facts["weights"]
-        now, shown = add_gradients(camouflage, self.detectors, weights, self.world, scenes)
+        now, shown = add_gradients(
+            camouflage, self.detectors, weights, self.world, scenes, settings.method
+        )
         if not math.isfinite(now.loss):
             raise NotFiniteError(
                 f"The loss of {camouflage.name} is {now.loss} at step {step}; attack again in "
@@ -244,6 +251,7 @@ class _Run:
         """Stores a copy under a name of its own: "T-U_step10-0" is "T-U-0" after 10 steps."""
         copied = copy.deepcopy(self.camouflage)
         copied.name = self.camouflage.name.with_variant(variant)
+        copied.paper_form_(False)
         if finalise:
             copied.finalise()
         record = {"of": str(self.camouflage.name), "variant": variant}
@@ -251,15 +259,20 @@ class _Run:
 
 
 def attack_weights(
-    detectors: Sequence[TrainableDetector], world: World, settings: AttackSettings
+    camouflage: Camouflage,
+    detectors: Sequence[TrainableDetector],
+    world: World,
+    settings: AttackSettings,
 ) -> dict[str, float]:
-    """Gives the weights that make every detector's term 1 without camouflage."""
-    return balanced_weights(_losses(None, detectors, world, settings))
+    """Gives the weights that make every detector's term 1, as `attack` says."""
+    worn = camouflage if settings.method == "paper" else None
+    return balanced_weights(_losses(worn, detectors, world, settings))
 
 
 def make_optimiser(camouflage: Camouflage, settings: AttackSettings) -> torch.optim.Adam:
     """Makes Adam for the start of an attack, with a learning rate for every parameter."""
-    rates = camouflage.learning_rates
+    # The paper gives no rates, so by its method all are alike.
+    rates = {} if settings.method == "paper" else camouflage.learning_rates
     groups = [
         {"params": [value], "lr": settings.learning_rate * rates.get(name, 1.0)}
         for name, value in camouflage.named_parameters()
@@ -279,6 +292,7 @@ def add_gradients(
     weights: Mapping[str, float],
     world: World,
     scenes: Sequence[Scene],
+    method: Method = "skyproof",
 ) -> tuple[Objective, list[Frames]]:
     """Adds the gradient of the objective on some scenes to that of the camouflage's parameters.
 
@@ -290,7 +304,7 @@ def add_gradients(
     def show(part: Sequence[Scene]) -> tuple[Objective, Frames, Sequence[Tensor | None]]:
         frames = world.frames(camouflage, part)
         share = len(part) / len(scenes)
-        now, gradient = objective_and_gradient(detectors, weights, frames.image, share)
+        now, gradient = objective_and_gradient(detectors, weights, frames.image, share, method)
         gradients = torch.autograd.grad(frames.image, moving, gradient, allow_unused=True)
         return now, replace(frames, image=frames.image.detach()), gradients
 
@@ -337,8 +351,8 @@ def _losses(
             if float(losses.min()) < 0:
                 raise ConfigurationError(
                     f"The loss of the detector {name} is {float(losses.min()):g} on one of the "
-                    "attack's images, and an attack takes its logarithm; give it a loss that is 0 "
-                    "where nothing is detected, and never below."
+                    "attack's images; give it a loss that is 0 where nothing is detected, and "
+                    "never below."
                 )
     return means
 

@@ -120,7 +120,7 @@ class Maker:
         camouflage = make.make_camouflage(
             name,
             generator=generator_of(self.settings.seed, "texture", str(name)),
-            palette=self.palette,
+            palette=self.palette if self.settings.takes_palette(name) else None,
             texture=texture,
             settings=self.camouflage,
         ).to(self.device)
@@ -189,12 +189,12 @@ def sign_test(
     after: dict[str, list[Tensor]] = {detector.name: [] for detector in detectors}
     gsd_m = world.backgrounds.gsd_m
     with frozen(detectors):
-        weights = attack_weights(detectors, world, settings)
+        weights = attack_weights(camouflage, detectors, world, settings)
         for batch in range(settings.balance_batches):
             scenes = world.step_scenes(settings.batch_size, settings.seed, -batch)
             moved = copy.deepcopy(camouflage)
             moved.before_step_(1, settings.steps)
-            _, shown = add_gradients(moved, detectors, weights, world, scenes)
+            _, shown = add_gradients(moved, detectors, weights, world, scenes, settings.method)
             descend(moved, make_optimiser(moved, settings))
             with torch.no_grad():
                 stepped = world.frames(moved, scenes)

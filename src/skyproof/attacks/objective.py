@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from skyproof.attacks.settings import Method
 from skyproof.detectors.detector import Candidates, Detector, TrainableDetector
 from skyproof.detectors.matching import CENTRE_DISTANCE_M
 from skyproof.render.frames import Frames
@@ -16,12 +17,15 @@ from skyproof.storage import weights_digest
 _FOOLED = 0.03
 """At this share of the loss without camouflage a vehicle is nearly hidden and left alone."""
 
-OBJECTIVE = f"sum over detectors, mean over images: log(weight * loss + {_FOOLED:g})"
-"""The objective as it is recorded with a camouflage."""
+OBJECTIVES: dict[Method, str] = {
+    "skyproof": f"sum over detectors, mean over images: log(weight * loss + {_FOOLED:g})",
+    "paper": "sum over detectors, mean over images: weight * loss",
+}
+"""The objective of each method as it is recorded with a camouflage."""
 
 
 class Objective(NamedTuple):
-    """The objective (below zero if detectors are fooled), and each detector's mean plain loss."""
+    """The objective, and each detector's mean plain loss."""
 
     loss: float
     losses: dict[str, float]
@@ -40,17 +44,19 @@ def objective(
     detectors: Sequence[TrainableDetector],
     weights: Mapping[str, float],
     images: Float[Tensor, "B 3 H W"],
+    method: Method = "skyproof",
 ) -> Objective:
     """Says how far detectors are from seeing nothing: the sum of their losses' logarithms.
 
     Objective = sum over detectors of the mean over images of log(weight * loss + 0.03), where the
     loss is the detector's own against an empty truth, and its weight makes it 1 without camouflage.
     A logarithm falls as much from 0.2 to 0.1 as from 2 to 1, so the objective asks in how many
-    images a detector is nearly fooled. The paper's sum of losses is ruled by the images in which a
-    detector is surest. Detectors are frozen, images are sRGB in [0, 1].
+    images a detector is nearly fooled. The paper's sum of losses, which the method "paper" has, is
+    ruled by the images in which a detector is surest. Detectors are frozen, images are sRGB in
+    [0, 1].
     """
     by_detector = empty_truth_losses(detectors, images)
-    terms = [float(_term(weights[name], each)) for name, each in by_detector.items()]
+    terms = [float(_term(method, weights[name], each)) for name, each in by_detector.items()]
     return Objective(sum(terms), {name: float(each.mean()) for name, each in by_detector.items()})
 
 
@@ -59,6 +65,7 @@ def objective_and_gradient(
     weights: Mapping[str, float],
     images: Float[Tensor, "B 3 H W"],
     share: float = 1.0,
+    method: Method = "skyproof",
 ) -> tuple[Objective, Float[Tensor, "B 3 H W"]]:
     """Gives the objective and its gradient with respect to the images, arguments as `objective`.
 
@@ -70,7 +77,7 @@ def objective_and_gradient(
     losses = {}
     for detector in detectors:
         own = empty_truth_losses([detector], leaf)[detector.name]
-        term = share * _term(weights[detector.name], own)
+        term = share * _term(method, weights[detector.name], own)
         term.backward()
         total += float(term.detach())
         losses[detector.name] = share * float(own.detach().mean())
@@ -78,14 +85,17 @@ def objective_and_gradient(
     return Objective(total, losses), leaf.grad
 
 
-def _term(weight: float, losses: Float[Tensor, " B"]) -> Float[Tensor, ""]:
+def _term(method: Method, weight: float, losses: Float[Tensor, " B"]) -> Float[Tensor, ""]:
+    if method == "paper":
+        return weight * losses.mean()
     return (weight * losses + _FOOLED).log().mean()
 
 
 def balanced_weights(losses: Mapping[str, Sequence[float]]) -> dict[str, float]:
     """Gives the weights that bring every detector's mean of these losses to 1.
 
-    Differences from the paper: its weights suit losses that partly sum over anchors (table S2).
+    Differences from the paper: it gives numbers (table S2) for losses that partly sum over anchors.
+    Ours are normalised per image, so the numbers cannot be used.
     """
     return {name: 1.0 / max(sum(values) / len(values), 1e-8) for name, values in losses.items()}
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, Literal
 
 from msgspec import Meta
 from tyro.conf import Suppress
@@ -11,6 +11,9 @@ from tyro.conf import Suppress
 from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import Count, Seed, check_ranges
+
+Method = Literal["skyproof", "paper"]
+"""How an attack optimises: as skyproof does, or as the paper's text says."""
 
 _SEARCH_BATCH_SIZE = 8
 _PLAIN_PAINTS = 27
@@ -23,7 +26,17 @@ _WITHOUT_GRADIENT = 0.4
 class AttackSettings:
     """How a camouflage is optimised; the paper gives none of these numbers.
 
+    The method "paper" minimises the weighted sum of the losses (section 3.2), whose terms are equal
+    on vehicles in the camouflage as it starts. Few colours are mixed by s(s(p)), and a softmax of p
+    follows every step (section S4.2.3). Shapes are a sigmoid (section S4.3). Optimised colours
+    start anywhere. A search control has the same objective.
+
+    Differences from the paper, also in its method: Adam, with one learning rate for all parameters
+    and the usual schedule. τ is 0.5. The weights are computed, as those of table S2 suit losses
+    that are not normalised. Displacements follow rays (see `DisplacementMap`).
+
     Attributes:
+        method: skyproof, or paper (as the paper's text has it).
         steps: optimiser steps.
         batch_size: images (vehicles) per step; many small steps are better than few large ones
             (docs/attacks.md).
@@ -37,6 +50,7 @@ class AttackSettings:
         seed: seed of all scenes and random draws.
     """
 
+    method: Method = "skyproof"
     steps: Count = 400
     batch_size: Suppress[Annotated[int, Meta(ge=1, le=4096)]] = 4
     learning_rate: Suppress[Annotated[float, Meta(gt=0, le=10)]] = 0.05
@@ -53,6 +67,11 @@ class AttackSettings:
                 f"keep_at expects steps of the attack, which has {self.steps}, got "
                 f"{max(self.keep_at)}."
             )
+
+    def takes_palette(self, name: CamouflageName) -> bool:
+        """Whether a camouflage takes the given palette, by the paper's method fixed colours."""
+        fixed = name.constraints is not None and name.constraints.colours == "fixed"
+        return name.takes_palette and (fixed or self.method == "skyproof")
 
     def images(self, name: CamouflageName, best_of: int) -> float:
         """Images per detector of an attack or chosen control; one without gradient counts 0.4."""

@@ -25,6 +25,12 @@ class Camouflage(nn.Module):
         """Gives the same vehicles, camouflaged; differentiable in the parameters."""
         raise NotImplementedError
 
+    def paper_form_(self, on: bool) -> None:
+        """Turns to the form that the paper's method optimises, or back to the stored one.
+
+        Turning back changes no picture. A camouflage without a second form stays as it is.
+        """
+
     def before_step_(self, step: int, steps: int) -> None:
         """Sets what depends on the attack's progress, such as a temperature, before each step."""
 

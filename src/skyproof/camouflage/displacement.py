@@ -24,8 +24,9 @@ class DisplacementMap(Camouflage):
 
     Differences from the paper: its sigmoid of D_i * R_i, a vector, would push every vertex towards
     one corner. D itself is clipped to [0, 1], because values at the flat ends of a sigmoid hardly
-    move, and starts half-way. Wheels and underside stay, and no vertex is pushed below the ground,
-    so that a deformed vehicle can roll.
+    move, and starts half-way. By the method "paper" D is the sigmoid of a map that starts with
+    zeros, taken before the map is read; vertices move along R_i all the same. Wheels and underside
+    stay, and no vertex is pushed below the ground, so that a deformed vehicle can roll.
 
     Vertices slide along their rays from the middle, so a body that is visible from there never
     crosses itself. A pickup's bed is not, and does (see `measure_shape`). A generator draws D and
@@ -50,6 +51,7 @@ class DisplacementMap(Camouflage):
         self.name = name
         self.magnitude = name.magnitude
         self.frozen_parts = frozen_parts
+        self._in_paper_form = False
         start = torch.full((DISPLACEMENT_SIZE, DISPLACEMENT_SIZE), _START)
         if generator is not None:
             half = torch.rand(DISPLACEMENT_SIZE, DISPLACEMENT_SIZE // 2, generator=generator)
@@ -64,11 +66,20 @@ class DisplacementMap(Camouflage):
 
     def map(self) -> Float[Tensor, "64 64"]:
         """Gives the symmetric map: the fraction of PM * W by which each place moves."""
-        return (self.reach + self.reach.flip(1)) / 2
+        both = (self.reach + self.reach.flip(1)) / 2
+        return both.sigmoid() if self._in_paper_form else both
+
+    @torch.no_grad()
+    def paper_form_(self, on: bool) -> None:
+        """Makes `reach` what the sigmoid is taken of, or D again."""
+        if on != self._in_paper_form:
+            self.reach.copy_(torch.logit(self.reach, eps=1e-6) if on else self.map())
+            self._in_paper_form = on
 
     @torch.no_grad()
     def project_(self) -> None:
-        self.reach.clamp_(0.0, 1.0)
+        if not self._in_paper_form:
+            self.reach.clamp_(0.0, 1.0)
 
     @torch.no_grad()
     def vary_(self, generator: torch.Generator) -> None:
@@ -82,6 +93,7 @@ class DisplacementMap(Camouflage):
     @torch.no_grad()
     def finalise(self) -> None:
         """Stores the symmetric map that is applied."""
+        self.paper_form_(False)
         self.project_()
         self.reach.copy_(self.map())
 

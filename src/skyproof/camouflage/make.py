@@ -50,6 +50,10 @@ class Combination(Camouflage):
     def forward(self, vehicles: VehicleBatch) -> VehicleBatch:
         return self.shape(self.texture(vehicles))
 
+    def paper_form_(self, on: bool) -> None:
+        self.texture.paper_form_(on)
+        self.shape.paper_form_(on)
+
     def before_step_(self, step: int, steps: int) -> None:
         """Says whose turn it is to be optimised; the texture begins."""
         if self.turn_steps is not None:
@@ -60,7 +64,8 @@ class Combination(Camouflage):
         self.shape.before_step_(step, steps)
 
     def project_(self) -> None:
-        if self.turn_steps is not None:
+        # By the paper's method a softmax on the shape's turns would make the texture forget.
+        if self.texture.cells.requires_grad:
             self.texture.project_()
         self.shape.project_()
 

@@ -15,6 +15,7 @@ from skyproof.vehicles.vehicle import TEXTURE_SIZE, Overlay, Part, VehicleBatch
 # Of w = softmax(logits / temperature): from nearly free mixing to nearly one colour a texel.
 _FIRST_TEMPERATURE = 1.0
 _LAST_TEMPERATURE = 0.1
+_PAPER_TAU = 0.5  # which the paper does not give
 # Of optimised colours around those they begin at, in sRGB.
 _PALETTE_SD = 0.05
 
@@ -32,7 +33,8 @@ class UniversalTexture(Camouflage):
     or of free cells, which else are drawn uniformly.
 
     Differences from the paper: logits and annealing replace s(s(p)), which loses most of the
-    optimisation (docs/attacks.md). Palettes are optimised in sRGB.
+    optimisation (docs/attacks.md). Palettes are optimised in sRGB. The method "paper" has s(s(p)),
+    s(r) = softmax(ln(r) / 0.5) over colours (section S4.2.3), and softmax(p) after every step.
 
     Attributes:
         cells: `[3, g, g]` sRGB in [0, 1]; or `[K, g, g]` logits, ln of uniform draws.
@@ -54,6 +56,7 @@ class UniversalTexture(Camouflage):
         blocks: int = 32,
     ) -> None:
         super().__init__()
+        self._in_paper_form = False
         if name.constraints is None:
             raise ConfigurationError(
                 f"A texture expects a name with texture constraints, such as T-U, got {name}."
@@ -113,7 +116,8 @@ class UniversalTexture(Camouflage):
         if self.finished:
             # The same as argmax, in a sixth of its time.
             return self.palette[self.cells.detach().max(0).indices].permute(2, 0, 1)
-        weights = torch.softmax(self.cells / self.temperature, dim=0)
+        logits = self.cells.log() if self._in_paper_form else self.cells
+        weights = torch.softmax(logits / self.temperature, dim=0)
         return torch.einsum("kc,kij->cij", self.palette, weights)
 
     def bytes(self) -> UInt8[Tensor, "3 512 512"]:
@@ -140,9 +144,21 @@ class UniversalTexture(Camouflage):
             return replace(vehicles, texture=self.map()[None], overlay=None, repainted=True)
         return replace(vehicles, overlay=Overlay(self.map(), mask))
 
+    @torch.no_grad()
+    def paper_form_(self, on: bool) -> None:
+        """Makes cells of few colours probabilities p, or logits again.
+
+        s(s(p)) is softmax(ln(p) / τ²), the usual mixture of logits ln(p) at a fixed temperature.
+        """
+        if not self.restricted or self.finished or on == self._in_paper_form:
+            return
+        self.cells.copy_(torch.softmax(self.cells, dim=0) if on else self.cells.log())
+        self.temperature.fill_(_PAPER_TAU**2)
+        self._in_paper_form = on
+
     def before_step_(self, step: int, steps: int) -> None:
         """Lowers the temperature, geometrically."""
-        if self.restricted and not self.finished:
+        if self.restricted and not (self.finished or self._in_paper_form):
             share = (step - 1) / max(steps - 1, 1)
             fall = _LAST_TEMPERATURE / _FIRST_TEMPERATURE
             self.temperature.fill_(_FIRST_TEMPERATURE * fall**share)
@@ -151,6 +167,8 @@ class UniversalTexture(Camouflage):
     def project_(self) -> None:
         colours = self.palette if self.restricted else self.cells
         colours.clamp_(0.0, 1.0)
+        if self._in_paper_form:
+            self.cells.copy_(torch.softmax(self.cells, dim=0))
 
     @torch.no_grad()
     def vary_(self, generator: torch.Generator) -> None:
@@ -171,6 +189,7 @@ class UniversalTexture(Camouflage):
     @torch.no_grad()
     def finalise(self) -> None:
         """Leaves one colour per cell, of the 8 bits per channel that the PNG holds."""
+        self.paper_form_(False)
         colours = self.palette if self.restricted else self.cells
         colours.copy_((colours.clamp(0.0, 1.0) * 255).round() / 255)
         if self.restricted:

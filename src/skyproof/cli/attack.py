@@ -54,7 +54,7 @@ class Attack:
             drivable (ground for vehicles).
         draws: number of random draws of a best-of-N control.
         camouflage: numbers that the names leave open.
-        settings: steps and seed.
+        settings: method, steps and seed.
         device: auto, cpu or cuda.
     """
 
@@ -119,7 +119,7 @@ class Attack:
 
     def _palette(self, names: Sequence[CamouflageName]) -> torch.Tensor | None:
         """The fixed colours of Fc, from which Lc and Pix start, too."""
-        if not any(name.takes_palette for name in names):
+        if not any(self.settings.takes_palette(name) for name in names):
             return None
         source = self.palette or self.backgrounds
         if source is None:

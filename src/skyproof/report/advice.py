@@ -12,6 +12,7 @@ from skyproof.results.conditions import Bin, Panel
 from skyproof.results.precheck import findings
 from skyproof.results.result import MEAN, Result
 from skyproof.results.results import Results
+from skyproof.results.stored import AttackRecord
 
 _MUCH_BY_CHANCE = 0.1
 _STRONGEST = 2
@@ -72,6 +73,7 @@ class Limits:
 
     attacked: Sequence[str]  # detectors that the attack was optimised against, if recorded
     held_out: bool  # whether other detectors were scored
+    by_paper: Sequence[str]  # camouflages optimised by the paper's method
     growing: Sequence[str]  # camouflages with a repeat that was still getting stronger
     slim: Sequence[str]  # detectors that are reduced versions of the published networks
 
@@ -81,18 +83,24 @@ def limits(results: Results, every: Sequence[Result]) -> Limits:
     return Limits(
         _attacked(results, every[0].camouflage) if every else [],
         any(name.variant.startswith(("on_", "without_")) for name in results.names),
-        _not_converged(results, every),
+        _recorded(results, every, lambda record: record.method == "paper"),
+        _recorded(results, every, _growing),
         [words.detector_name(name) for name, card in results.cards.items() if card.size == "slim"],
     )
 
 
-def _not_converged(results: Results, every: Sequence[Result]) -> list[str]:
-    growing = {
-        CamouflageName.read(name).pooled
-        for name, record in results.records.items()
-        if record.convergence is not None and not record.convergence.converged
+def _growing(record: AttackRecord) -> bool:
+    return record.convergence is not None and not record.convergence.converged
+
+
+def _recorded(
+    results: Results, every: Sequence[Result], holds: Callable[[AttackRecord], bool]
+) -> list[str]:
+    """The quoted camouflages with a repeat whose record says so."""
+    found = {
+        CamouflageName.read(name).pooled for name, each in results.records.items() if holds(each)
     }
-    return [str(row.camouflage) for row in every if row.camouflage in growing]
+    return [str(row.camouflage) for row in every if row.camouflage in found]
 
 
 def _attacked(results: Results, camouflage: CamouflageName) -> list[str]:

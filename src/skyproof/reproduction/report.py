@@ -132,6 +132,9 @@ def _preamble(run: Reproduction) -> list[Block]:
             f"Every vehicle that is tested is computer-generated{checked}. The numbers say how "
             "attacks compare on rendered vehicles; they are not evidence about painted ones."
         )
+    methods = {record.method for record in run.results.records.values() if record.method}
+    if methods:
+        parts.append(f"Method of the attacks: {', '.join(sorted(methods))}.")
     about = run.results.environment
     if about:
         versions = [f"{name} {about.get(name) or '–'}" for name in ("skyproof", "commit", "torch")]

@@ -51,8 +51,13 @@ class Timing(Struct, frozen=True, kw_only=True):
     largest_memory_mb: Annotated[float, Meta(ge=0, le=1e9)] | None = None
 
 
+class _Settings(Struct, frozen=True):
+    method: Text = "skyproof"
+
+
 class _Attack(Struct, frozen=True):
     detectors: dict[Label, Text] = {}
+    settings: _Settings = _Settings()
 
 
 class Discretisation(Struct, frozen=True):
@@ -85,6 +90,11 @@ class AttackRecord(Struct, frozen=True):
     queries: Queries | None = None
     discretisation: Discretisation = Discretisation()
     sign_test: dict[Label, dict[Label, Number | bool | Text | None]] | None = None
+
+    @property
+    def method(self) -> str | None:
+        """The method of the attack, "skyproof" or "paper"; None of what was not attacked."""
+        return None if self.attack is None else self.attack.settings.method
 
 
 class _Camouflage(Struct, frozen=True):
