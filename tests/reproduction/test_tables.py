@@ -212,6 +212,8 @@ def test_rates_by_overlap_and_false_alarms(folder):
         recall=nothing,
         threshold=0.5,
         false_alarms_per_km2=17.4,
+        area_km2=0.05,
+        alarm_scores=(0.6,),
     )
     write_scores(
         folder / "scores" / "002",
@@ -231,7 +233,7 @@ def test_rates_by_overlap_and_false_alarms(folder):
     close(found["T-Ma"]["ap_iou_50_adversarial"], 55)
     close(found["T-Ma"]["false_alarms_per_km2_original"], 1)
     close(found["T-Ma"]["false_alarms_per_km2_adversarial"], 2)
-    assert "On test ground without vehicles, false alarms per km²: YOLOv5 17." in page
+    assert "threshold of YOLOv5, 0.50, stands at 17 false alarms per km² of empty ground." in page
     assert "17 false alarms per km²" in (folder / "report.html").read_text()
 
 

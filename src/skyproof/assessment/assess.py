@@ -44,6 +44,8 @@ def assess_steps(its: Subject) -> Iterator[Step]:
     if requirement is not None:
         yield enough_ground(its, requirement)
     yield rendered(its, layout, "test")
+    yield scenes(its, layout, "empty")
+    yield rendered(its, layout, "empty")
     if its.suite.check_scenes:
         yield precheck(its)
         if requirement is not None:

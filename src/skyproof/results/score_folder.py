@@ -8,7 +8,7 @@ It holds `score.json`, `outcomes.parquet`, `sets.json`, `baselines.json`, `liken
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, astuple, dataclass
 from pathlib import Path
 from typing import Annotated, Self
 
@@ -33,6 +33,8 @@ _REMEDY = "copy the whole folder again, or score again"
 # The largest loss of F1 with which a frozen threshold carries over.
 _FAR = 0.03
 
+_ALARMS_PER_KM2 = 100
+
 _Share = Annotated[Interval, Meta(ge=0, le=1)]
 _Threshold = Annotated[float, Meta(ge=-1e6, le=1e6)]
 
@@ -54,7 +56,8 @@ class Baseline:
     recall and false alarms are at the frozen threshold by centre distance, AP and recall also by
     the lenient rule, which older rows lack. Vehicles are called another class if only that is
     detected on them, which is known of detectors with other classes. A camera took `real` images,
-    and the note tells their source and processing.
+    and the note tells their source and processing. Of rendered ground without vehicles, the highest
+    scores of false alarms are kept, falling: one more than 100 per km², or all.
     """
 
     detector: Name
@@ -75,6 +78,8 @@ class Baseline:
     ap_centre_in_box: Fraction = math.nan
     recall_centre_in_box: Fraction = math.nan
     called_another_class: Fraction = math.nan
+    area_km2: Annotated[float, Meta(ge=0, le=1e9)] = math.nan
+    alarm_scores: Annotated[tuple[_Threshold, ...], Meta(max_length=10**7)] = ()
 
     @property
     def leniently(self) -> str:
@@ -95,6 +100,11 @@ class Baseline:
             return True
         largest = f1(self.best.precision, self.best.recall)
         return not largest - f1(self.precision.estimate, self.recall.estimate) > _FAR
+
+
+def alarms_kept(area_km2: float) -> int:
+    """Gives the number of scores of false alarms that a baseline keeps at most."""
+    return math.floor(_ALARMS_PER_KM2 * area_km2 + 1e-9) + 1
 
 
 def f1(precision: float, recall: float) -> float:
@@ -214,14 +224,20 @@ class ScoreFolder:
         return read_document(path, _PracticalityFile, _REMEDY).rows if path.exists() else []
 
 
-def merge_scores(folders: Sequence[ScoreFolder]) -> tuple[OutcomeCounts, list[SetScore]]:
+def merge_scores(
+    folders: Sequence[ScoreFolder], thresholds: Mapping[str, float] | None = None
+) -> tuple[OutcomeCounts, list[SetScore]]:
     """Reads the outcomes and set scores of several score folders that share scenes and detectors.
+
+    With `thresholds` as in `read_counts`, the set scores have average precision alone.
 
     The same result in several folders (the unchanged images always are) must be equal in all of
     them. Folders with baselines alone are passed over.
     """
     compared = [folder for folder in folders if folder.record.renderer]
-    read = [(folder, read_counts(folder.path / "outcomes.parquet")) for folder in compared]
+    read = [
+        (folder, read_counts(folder.path / "outcomes.parquet", thresholds)) for folder in compared
+    ]
     cells = sorted({cell for _, counts in read for cell in counts.cells})
     place = {cell: index for index, cell in enumerate(cells)}
     series: dict[Series, np.ndarray] = {}
@@ -243,7 +259,10 @@ def merge_scores(folders: Sequence[ScoreFolder]) -> tuple[OutcomeCounts, list[Se
             series.setdefault(key, spread)
             source.setdefault(key, folder)
     _refuse_other_detectors(source)
-    return OutcomeCounts(tuple(cells), series), _merge_sets(compared)
+    sets = _merge_sets(compared)
+    if thresholds is not None:
+        sets = [SetScore(*astuple(each)[:5], math.nan) for each in sets]
+    return OutcomeCounts(tuple(cells), series), sets
 
 
 def _refuse_other_detectors(source: dict[Series, ScoreFolder]) -> None:
