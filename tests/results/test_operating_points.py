@@ -16,7 +16,6 @@ from skyproof.results.score_folder import (
     Baseline,
     ScoreRecord,
     SetScore,
-    alarms_kept,
     write_record,
 )
 from skyproof.results.statistics.intervals import Interval
@@ -42,7 +41,6 @@ def test_thresholds_lie_midway_between_the_last_alarm_and_the_next():
     assert hundred.false_alarms_per_km2 == pytest.approx(100)
     assert ten.threshold == pytest.approx((0.88 + 0.87) / 2)
     assert ten.false_alarms_per_km2 == pytest.approx(10)
-    assert alarms_kept(0.3) == 31
 
 
 def test_equal_scores_count_together():

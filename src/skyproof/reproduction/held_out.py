@@ -108,8 +108,8 @@ def _baselines(run: Reproduction, table: str) -> list[dict[str, Any]]:
             rows.append(told | own | {"ap": 100 * facts.validation["ap_centre_1m"]})
         record = results.prechecks.get(detector)
         real = [check for check in record.sets if check.real] if record else []
-        own = [check for check in results.baselines if check.detector == detector]
-        here = [check for check in own if check.vehicles]
+        ours = [check for check in results.baselines if check.detector == detector]
+        here = [check for check in ours if check.vehicles]
         rows += [told | _check(check) for check in (*real, *here)]
     return rows
 

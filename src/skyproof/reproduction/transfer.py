@@ -22,17 +22,15 @@ def transfer_part(run: Reproduction) -> Topic:
         for name, record in run.results.records.items()
         if record.attack is not None
     }
-    by_point = {
-        point: [row for row in every if row.operating_point == point]
-        for every in (run.results.rows, run.results.equal_alarms)
-        for point in dict.fromkeys(row.operating_point for row in every)
-    }
+    every = [*run.results.rows, *run.results.equal_alarms]
     of_some = (name for name in run.results.names if name.variant.startswith(_OF_SOME))
     rows = [
         {**row, "operating_point": point}
         for base in dict.fromkeys(name.base for name in of_some)
-        for point, table in by_point.items()
-        for row in transfer_rows(table, attacked, base)
+        for point in dict.fromkeys(row.operating_point for row in every)
+        for row in transfer_rows(
+            [row for row in every if row.operating_point == point], attacked, base
+        )
     ]
     if not rows:
         return Topic([Table("transfer", rows)])

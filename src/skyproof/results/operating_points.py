@@ -71,7 +71,7 @@ def table(counts: OutcomeCounts, sets: Sequence[SetScore], seed: int) -> list[Re
     return rows
 
 
-def at_equal_alarms(
+def equal_alarm_rows(
     scores: Sequence[ScoreFolder], points: Mapping[str, Sequence[OperatingPoint]], seed: int
 ) -> list[Result]:
     """Gives the table at each operating point, without the detectors that do not reach it.

@@ -1,18 +1,20 @@
 """Plain paints of the precheck, as controls beside optimised camouflages."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.results.precheck import PAINTED, PrecheckRecord, Rate, rate_words
-from skyproof.results.result import MAIN_MATCH, Contrast, Result
+from skyproof.results.result import MAIN_MATCH, MEAN, Contrast, Result
 from skyproof.results.statistics.intervals import Interval
 
 
-def beside_paints(row: Result, prechecks: Sequence[PrecheckRecord]) -> Result:
+def beside_paints(
+    row: Result, prechecks: Mapping[str, PrecheckRecord], detectors: Sequence[str]
+) -> Result:
     """Lets every paint of the detectors' prechecks enter the strongest control of a row.
 
     Paints are measured on the renderer by the main rule, so other rows stay, and those without a
@@ -20,14 +22,16 @@ def beside_paints(row: Result, prechecks: Sequence[PrecheckRecord]) -> Result:
     are the first of the test, so the limits count both rates as independent; there is no test.
     """
     strongest, texture = row.strongest, row.camouflage.constraints
-    if strongest is None or texture is None or (row.renderer, row.match) != ("torch", MAIN_MATCH):
+    names = detectors if row.detector == MEAN else [row.detector]
+    known = {*names} <= {*prechecks} and (row.renderer, row.match) == ("torch", MAIN_MATCH)
+    if strongest is None or texture is None or not known:
         return row
-    kinds = {*PAINTED} - ({"paint_whole"} if texture.masked else set())
+    kinds = [kind for kind in PAINTED if not (texture.masked and kind == "paint_whole")]
     paints: dict[str, list[Rate]] = {}
-    for rate in (each for record in prechecks for each in record.rates if each.kind in kinds):
+    for rate in (each for name in names for each in prechecks[name].rates if each.kind in kinds):
         paints.setdefault(f"plain paint {rate_words(rate)} {PAINTED[rate.kind]}", []).append(rate)
     every = [strongest]
-    every += [_net(row.easr, *paint) for paint in paints.items() if len(paint[1]) == len(prechecks)]
+    every += [_net(row.easr, *paint) for paint in paints.items() if len(paint[1]) == len(names)]
     best = max(every, key=lambda each: each.easr)
     low = float(np.min([each.net.low for each in every]))
     return replace(row, strongest=replace(best, net=replace(best.net, low=low), p=strongest.p))

@@ -15,7 +15,7 @@ from skyproof.detectors.card import DetectorCard
 from skyproof.files import inside, write_json
 from skyproof.layout import Layout
 from skyproof.results.likeness import Likeness
-from skyproof.results.operating_points import OperatingPoint, at_equal_alarms, points_of, table
+from skyproof.results.operating_points import OperatingPoint, equal_alarm_rows, points_of, table
 from skyproof.results.outcomes import Outcome, OutcomeCounts, Series, read_outcomes
 from skyproof.results.paints import beside_paints
 from skyproof.results.precheck import PrecheckRecord, read_prechecks
@@ -107,12 +107,8 @@ class Results:
             prechecks=prechecks,
             seed=seed,
         )
-        own = results.own_prechecks
-        checked = {name: [own[name]] for name in results.detectors if name in own}
-        if len(checked) == len(results.detectors):
-            checked[MEAN] = [own[name] for name in results.detectors]
-        rows = [beside_paints(row, checked.get(row.detector, [])) for row in results.rows]
-        return replace(results, rows=rows)
+        own, names = results.own_prechecks, results.detectors
+        return replace(results, rows=[beside_paints(row, own, names) for row in results.rows])
 
     def write(self, worst: Sequence[Mapping[str, Any]] = ()) -> Path:
         """Writes `results.json`; rates are fractions, undefined ones null."""
@@ -137,7 +133,7 @@ class Results:
     @cached_property
     def equal_alarms(self) -> list[Result]:
         """The table at equal false alarms (`EQUAL_ALARMS`); empty where none are known."""
-        return at_equal_alarms(self.scores, self.points, self.seed)
+        return equal_alarm_rows(self.scores, self.points, self.seed)
 
     @cached_property
     def detectors(self) -> list[str]:

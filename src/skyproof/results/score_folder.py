@@ -8,7 +8,7 @@ It holds `score.json`, `outcomes.parquet`, `sets.json`, `baselines.json`, `liken
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, astuple, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Self
 
@@ -33,8 +33,6 @@ _REMEDY = "copy the whole folder again, or score again"
 # The largest loss of F1 with which a frozen threshold carries over.
 _FAR = 0.03
 
-_ALARMS_PER_KM2 = 100
-
 _Share = Annotated[Interval, Meta(ge=0, le=1)]
 _Threshold = Annotated[float, Meta(ge=-1e6, le=1e6)]
 
@@ -57,7 +55,7 @@ class Baseline:
     the lenient rule, which older rows lack. Vehicles are called another class if only that is
     detected on them, which is known of detectors with other classes. A camera took `real` images,
     and the note tells their source and processing. Of rendered ground without vehicles, the highest
-    scores of false alarms are kept, falling: one more than 100 per km², or all.
+    scores of false alarms are kept, falling: more than 100 per km², or all.
     """
 
     detector: Name
@@ -100,11 +98,6 @@ class Baseline:
             return True
         largest = f1(self.best.precision, self.best.recall)
         return not largest - f1(self.precision.estimate, self.recall.estimate) > _FAR
-
-
-def alarms_kept(area_km2: float) -> int:
-    """Gives the number of scores of false alarms that a baseline keeps at most."""
-    return math.floor(_ALARMS_PER_KM2 * area_km2 + 1e-9) + 1
 
 
 def f1(precision: float, recall: float) -> float:
@@ -261,7 +254,8 @@ def merge_scores(
     _refuse_other_detectors(source)
     sets = _merge_sets(compared)
     if thresholds is not None:
-        sets = [SetScore(*astuple(each)[:5], math.nan) for each in sets]
+        nan = math.nan
+        sets = [replace(each, false_alarms_per_km2=nan, called_another_class=nan) for each in sets]
     return OutcomeCounts(tuple(cells), series), sets
 
 
