@@ -222,6 +222,17 @@ def test_every_attack_is_scored_beside_its_controls(folder):
         assert set(draws) <= set(names)
 
 
+def test_ground_without_vehicles_is_shown_once(folder):
+    steps = [*assess_steps(subject(folder))]
+    order = [step.id for step in steps]
+    first, *others = (step for step in steps if step.kind == "score")
+    assert order.index("scenes/empty") < order.index("render/empty") < order.index(first.id)
+    frames = [
+        any("datasets/empty" in each for each in step.settings[3]) for step in (first, *others)
+    ]
+    assert frames == [True, *[False] * len(others)]
+
+
 def test_the_scored_camouflages_of_the_suite_are_without_those_on_cycles(folder):
     its = subject(folder)
     names = scored_names([*assess_steps(its)])

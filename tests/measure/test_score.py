@@ -310,6 +310,23 @@ def test_the_renderer_is_the_stages_own(scored, tmp_path):
     assert check["dataset"] == "Blender Cycles test"
 
 
+def test_false_alarms_on_rendered_ground_without_vehicles_keep_their_scores(scored, tmp_path):
+    images = flat_images([153, 204, 102, 51], vehicles=0)
+    sets = [
+        BaselineSet("empty", images, real=False),
+        BaselineSet("photographs", images, real=True),
+        BaselineSet("driven on", flat_images([204] * 4), real=False),
+    ]
+    scored([judging(Brightest(), 0.5)], [200], {"T-U": [50]}, baselines=sets)
+    folder = ScoreFolder.open(tmp_path / "scores")
+    empty, *others = (row for row in folder.baselines() if row.dataset != "rendered test")
+    # Four images of 8 m: less than one alarm is allowed, so the two highest scores are kept.
+    assert empty.area_km2 == pytest.approx(4 * 64 / 1e6)
+    assert empty.alarm_scores == pytest.approx((0.8, 0.6))
+    assert empty.false_alarms_per_km2 == pytest.approx(2 / empty.area_km2)
+    assert [row.alarm_scores for row in others] == [(), ()]
+
+
 def test_baselines_say_what_they_rest_on(scored, tmp_path):
     images = flat_images([200, 200, 200, 50])
     # A second vehicle that is never found halves recall on the real images.

@@ -17,7 +17,7 @@ from skyproof.report.queries import QueryPart
 from skyproof.report.report import write_report
 from skyproof.results.outcomes import OutcomeCounts, read_counts
 from skyproof.results.results import Results
-from skyproof.results.rows_file import write_rows
+from skyproof.results.rows_file import flat_row, write_rows
 from skyproof.results.statistics.acceptance import Requirement
 from skyproof.results.statistics.intervals import Interval
 from skyproof.results.statistics.planning import tiles_to_show
@@ -35,6 +35,7 @@ from tests.report.test_queries import missed
 from tests.report.test_report import words_of
 from tests.results.counted import write_counts
 from tests.results.test_likeness import LOOK, likeness
+from tests.results.test_operating_points import ground
 from tests.results.test_worst import scored
 
 LENIENT = Requirement(0.97, 0.995)
@@ -127,6 +128,15 @@ def test_it_says_what_imagery_would_decide_or_that_none_would(run_folder):
     enough = tiles_to_show(tiles + more, tiles + more + 100)
     assert enough > tiles + more
     assert f"Imagery with about {enough:,} test tiles" in said(tiles + more + 100)
+
+
+def test_the_verdict_tells_the_false_alarms_at_the_frozen_threshold(run_folder):
+    place = run_folder / "scores" / "main" / "baselines.json"
+    rows = json.loads(place.read_text())["rows"]
+    write_json(place, {"rows": [*rows, flat_row(ground(0.05, [0.9, 0.3]))]})
+    _, verdict = asked(run_folder, STRICT)
+    told = {each["detector"]: each["false_alarms_per_km2"] for each in verdict["detectors"]}
+    assert told == {"retinanet": pytest.approx(20), "faster_rcnn": None}
 
 
 def test_a_detector_that_failed_or_missed_its_check_gets_no_verdict(run_folder):

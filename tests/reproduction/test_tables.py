@@ -5,6 +5,7 @@ import json
 import math
 import re
 import shutil
+from dataclasses import replace
 
 import pytest
 from scipy import stats
@@ -16,9 +17,11 @@ from skyproof.reproduction.paper_results import PAPER_RESULTS
 from skyproof.reproduction.report import write_reproduction_report
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.results.results import Results
+from skyproof.results.rows_file import write_rows
 from skyproof.results.score_folder import Baseline
 from skyproof.results.statistics.intervals import Interval
 from tests.reproduction.fabricate import write_attack, write_scores
+from tests.results.test_operating_points import ground
 
 
 @pytest.fixture
@@ -222,6 +225,8 @@ def test_rates_by_overlap_and_false_alarms(folder):
         recall=nothing,
         threshold=0.5,
         false_alarms_per_km2=17.4,
+        area_km2=0.05,
+        alarm_scores=(0.6,),
     )
     write_scores(
         folder / "scores" / "002",
@@ -241,8 +246,38 @@ def test_rates_by_overlap_and_false_alarms(folder):
     close(found["T-Ma"]["ap_iou_50_adversarial"], 55)
     close(found["T-Ma"]["false_alarms_per_km2_original"], 1)
     close(found["T-Ma"]["false_alarms_per_km2_adversarial"], 2)
-    assert "On test ground without vehicles, false alarms per km²: YOLOv5 17." in page
+    assert "threshold of YOLOv5, 0.50, stands at 17 false alarms per km² of empty ground." in page
     assert "17 false alarms per km²" in (folder / "report.html").read_text()
+
+
+def test_the_tables_have_rates_at_equal_false_alarms(folder):
+    # Found vehicles have a score of 0.9; five alarms are allowed on 0.05 km².
+    scores = [0.97, 0.96, 0.95, 0.94, 0.93]
+    checks = [
+        ground(0.05, [*scores, 0.6], detector="retinanet"),
+        ground(0.05, [*scores, 0.91], detector="yolov5"),
+    ]
+    write_scores(folder / "scores" / "002", {"R-U_best": 0.25}, checks=checks)
+    page = write_reproduction(folder).read_text()
+    row = table(folder, "textures")["T-U"]
+    # YOLOv5 finds nothing at its threshold, so the mean is undefined.
+    assert row["easr_at_100_per_km2"] == "–"
+    with open(folder / "tables" / "transfer.csv", newline="", encoding="utf-8") as file:
+        rows = [one for one in csv.DictReader(file) if one["operating_point"] == "100_per_km2"]
+    assert rows
+    assert all(one["yolov5"] == "–" != one["retinanet"] for one in rows)
+    checks[1] = replace(checks[1], alarm_scores=(*scores, 0.5))
+    write_rows(folder / "scores" / "002" / "baselines.json", checks)
+    page = write_reproduction(folder).read_text()
+    for name in ("textures", "criteria"):
+        row = table(folder, name)["T-U"]
+        close(row["easr_at_100_per_km2"], float(row["easr"]))
+        assert "easr_at_10_per_km2" not in row
+    row = table(folder, "textures")["T-U"]
+    # Of the draws, one hides 30 %.
+    close(row["net_strongest_control_easr_at_100_per_km2"], float(row["easr"]) - 30)
+    assert row["found_before_at_100_per_km2"] == row["found_before"] == "100"
+    assert "| EASR at 100/km² | net of best control at 100/km² |" in page
 
 
 def test_transfer(written):
@@ -536,15 +571,16 @@ def test_what_was_chosen_and_not_learnt_on_cycles(folder):
     write_scores(folder / "scores" / "chosen", chosen, found=0.8, renderer="cycles")
     page = write_reproduction(folder).read_text()
     row = table(folder, "textures")["T-U"]
-    assert row["cycles_strongest_control"] == "R-U_best"
-    close(row["cycles_strongest_control_easr"], 25)
-    close(row["cycles_net_strongest_control_easr"], 62.5 - 25)
+    # One of two draws hides more than what was chosen.
+    assert row["cycles_strongest_control"] == "R-U-1"
+    close(row["cycles_strongest_control_easr"], 37.5)
+    close(row["cycles_net_strongest_control_easr"], 62.5 - 37.5)
     # Two repeats that lie so far apart leave it open.
     assert float(row["cycles_net_strongest_control_easr_low"]) < 0
     # A learnt shape hides 37.5 % there, every vertex out 50 %.
     close(table(folder, "shape_combined")["S-O"]["cycles_net_strongest_control_easr"], -12.5)
-    # A plain paint all over is a control of T-Fc, too.
-    said = "Against the strongest control found without optimisation, 1 of 3 do."
+    # A plain paint all over is a control of T-Fc, too; its one draw hides 25 of its 50 %.
+    said = "Against the strongest control found without optimisation, 0 of 3 do."
     assert said in page
     # One that is stronger on the renderer and was not drawn on Cycles: nothing is said there.
     write_scores(folder / "scores" / "002", {"R-U_search": 0.7, "R-U_best": 0.2})

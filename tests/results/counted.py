@@ -47,6 +47,8 @@ def write_counts(path, tiles):
             "placement": np.arange(len(kind)),
             "background": np.array([tile for tile, _ in tiles.cells], dtype=object)[cell],
             "vehicle": np.array([vehicle for _, vehicle in tiles.cells], dtype=object)[cell],
+            "score_original": 0.9 * (kind < 2),
+            "score_adversarial": 0.9 * ((kind == 0) | (kind == 2)),
             "detected_original": kind < 2,
             "detected_adversarial": (kind == 0) | (kind == 2),
         }

@@ -183,6 +183,25 @@ def test_the_strongest_strongest_control_counts_and_the_lowest_limit(rng):
     assert all(one.strongest is None and one.random is None for one in others)
 
 
+def test_a_single_draw_that_hides_more_than_the_chosen_controls_is_the_strongest(rng):
+    hidden = {"T-Ma": 16, "R-Ma-0": 0, "R-Ma-1": 12, "R-Ma_plain": 4, "R-Ma_best": 6}
+    found = [
+        outcome
+        for name, lost in hidden.items()
+        for outcome in outcomes(name, "a", [(1, int(i >= lost)) for i in range(20)])
+    ]
+    made = result.summarise(count_outcomes(found), [], generator=rng)
+    strongest = {str(row.camouflage): row for row in made}["T-Ma"].strongest
+    assert (str(strongest.control), strongest.easr, strongest.draws) == ("R-Ma-1", 0.6, 1)
+    assert strongest.net.estimate == pytest.approx(0.2)
+    # Two tiles differ, so of four swaps two are as uneven.
+    assert strongest.p == 2 / 2**2
+    # Draws alone were not chosen, so they say nothing of what optimisation adds.
+    alone = [one for one in found if one.camouflage in ("T-Ma", "R-Ma-0", "R-Ma-1")]
+    made = result.summarise(count_outcomes(alone), [], generator=rng)
+    assert all(row.strongest is None for row in made)
+
+
 def test_a_combination_stands_beside_its_texture_under_random_shapes(rng):
     hidden = {"C-Fc-seq@0.2-0": 15, "R-C-Fc-seq@0.2-0": 8, "R-C-Fc-seq@0.2-1": 10, "R-C-Fc@0.2": 2}
     found = [

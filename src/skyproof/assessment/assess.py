@@ -58,6 +58,8 @@ def assess_steps(its: Subject) -> Iterator[Step]:
         score(its, f"test-{number}", folders[start : start + _SCORED_AT_ONCE], first=number == 0)
         for number, start in enumerate(range(0, len(folders), _SCORED_AT_ONCE))
     ]
+    yield scenes(its, layout, "empty")
+    yield rendered(its, layout, "empty")
     if its.request.cycles:
         rendering = Rendering(renderer="cycles", blender=its.request.blender)
         scores.append(rendered(its, layout, "test", rendering=rendering))

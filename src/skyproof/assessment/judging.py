@@ -130,11 +130,15 @@ def score(
     first: bool = False,
     rendering: Rendering | None = None,
 ) -> Step:
-    """Tests every detector with and without camouflages, and `first` on the labelled test tiles."""
+    """Tests every detector with and without camouflages, and `first` on further images.
+
+    These are the labelled test tiles, and test scenes without vehicles.
+    """
     layout = its.layout
     chosen = rendering or Rendering()
     original = layout.dataset("test" if rendering is None else f"test-{chosen.renderer}")
-    frames = _frames(its) if first else ()
+    empty = f"ground without vehicles={layout.dataset('empty')}@{its.gsd_m}"
+    frames = (*_frames(its), empty) if first else ()
     measured = Score(
         **vars(chosen),
         detectors=its.folders,
@@ -157,7 +161,7 @@ def score(
         (its.names, camouflages, its.seed, frames, chosen),
         inputs=tuple(camouflages),
         extra=rendering is not None,
-        effort_s=START_S + each_s * (1 + len(camouflages)),
+        effort_s=START_S + each_s * (1 + len(camouflages) + first),
     )
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Literal
 
 from skyproof.assessment.run import GROUND_S, RENDER_S, START_S, VEHICLE_S, Step
 from skyproof.assessment.subject import ENOUGH_PLACES, Subject
@@ -37,6 +38,7 @@ from skyproof.scenes.splits import Split
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 from skyproof.words import counted
 
+Shown = Literal[Split, "empty"]
 YOURS = "your imagery"
 VEHICLE_CLASSES = ("vehicle",)
 
@@ -222,9 +224,10 @@ def fleets(its: Subject, layout: Layout, title: str = "fleets") -> Step:
     return Step("vehicles", title, (layout.fleets,), work, settings, effort_s=effort_s)
 
 
-def scenes(its: Subject, layout: Layout, split: Split, title: str = "") -> Step:
-    """Draws the scenes of a split."""
+def scenes(its: Subject, layout: Layout, split: Shown, title: str = "") -> Step:
+    """Draws the scenes of a split; "empty" are test scenes without vehicles."""
     count, out = its.suite.test_images, layout.scenes(split)
+    ground: Split = "test" if split == "empty" else split
 
     def work() -> None:
         # Only the run's own ground was cut from imagery.
@@ -235,11 +238,13 @@ def scenes(its: Subject, layout: Layout, split: Split, title: str = "") -> Step:
             say(f"  note: {_STAND[places].format(why=why)}")
         draw_scenes(
             backgrounds=layout.backgrounds,
-            fleet=layout.fleets / split,
+            fleet=layout.fleets / ground,
             out=out,
-            split=split,
+            split=ground,
             count=count,
-            settings=SceneSettings(size_px=its.image_px, places=places),
+            settings=SceneSettings(
+                size_px=its.image_px, places=places, empty_share=float(split == "empty")
+            ),
             seed=its.seed,
         )
 
@@ -247,7 +252,7 @@ def scenes(its: Subject, layout: Layout, split: Split, title: str = "") -> Step:
 
 
 def rendered(
-    its: Subject, layout: Layout, split: Split, title: str = "", rendering: Rendering | None = None
+    its: Subject, layout: Layout, split: Shown, title: str = "", rendering: Rendering | None = None
 ) -> Step:
     """Renders the scenes of a split without camouflage, by either renderer."""
     chosen = rendering or Rendering()
@@ -257,7 +262,7 @@ def rendered(
         **vars(chosen),
         scenes=layout.scenes(split),
         backgrounds=layout.backgrounds,
-        fleet=layout.fleets / split,
+        fleet=layout.fleets / ("test" if split == "empty" else split),
         out=out,
         device=its.request.device,
     )

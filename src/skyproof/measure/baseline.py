@@ -19,6 +19,7 @@ from skyproof.detectors.validation import (
 from skyproof.errors import ConfigurationError
 from skyproof.imagery.frames import BORDER_PX, read_frames_folder
 from skyproof.measure.views import SceneView, look
+from skyproof.results.operating_points import EQUAL_ALARMS
 from skyproof.results.result import LENIENT_MATCH, MAIN_MATCH
 from skyproof.results.score_folder import Baseline, BestF1
 from skyproof.results.statistics.intervals import (
@@ -68,6 +69,10 @@ def _measure(detector: Detector, images: BaselineSet, view: SceneView, seed: int
     )
     lenient = view.matched(detector.name, LENIENT_MATCH)
     called = view.called_another_class(detector)
+    area_m2 = images.images.area_m2
+    # Photographs have a border without labels, which is no empty ground.
+    empty = not images.real and not any(map(len, images.images.boxes))
+    kept = int(max(EQUAL_ALARMS.values()) * area_m2 / 1e6) + 2 if empty else 0
     return Baseline(
         detector=detector.name,
         dataset=images.name,
@@ -81,14 +86,14 @@ def _measure(detector: Detector, images: BaselineSet, view: SceneView, seed: int
         precision=precision,
         recall=recall,
         threshold=detector.threshold,
-        false_alarms_per_km2=false_alarms_per_km2(
-            centre.counts_at(detector.threshold)[1], images.images.area_m2
-        ),
+        false_alarms_per_km2=false_alarms_per_km2(centre.counts_at(detector.threshold)[1], area_m2),
         note=images.note,
         best=_best(centre),
         ap_centre_in_box=average_precision(lenient),
         recall_centre_in_box=_share(lenient.found_at(detector.threshold)),
         called_another_class=float("nan") if called is None else _share(called),
+        area_km2=area_m2 / 1e6,
+        alarm_scores=tuple(centre.scores[:kept].tolist()),
     )
 
 

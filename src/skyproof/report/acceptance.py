@@ -199,6 +199,7 @@ def write_verdict(results: Results, acceptance: Acceptance, alarms: Sequence[str
     layout = Layout(results.folder)
     digests = {name: card.weights_sha256 for name, card in results.cards.items()}
     scored = {key.camouflage for key in results.counts.series}
+    alarms_of = {name: own[0].false_alarms_per_km2 for name, own in results.points.items() if own}
     document = {
         "skyproof": skyproof.__version__,
         "suite": acceptance.suite,
@@ -216,6 +217,7 @@ def write_verdict(results: Results, acceptance: Acceptance, alarms: Sequence[str
                     if row["detector"] == ruling.detector
                 ],
                 **_likeness(results, ruling.detector),
+                "false_alarms_per_km2": alarms_of.get(ruling.detector),
                 "weights_sha256": digests.get(ruling.detector, ""),
                 "attacks": {name: asdict(said) for name, said in ruling.attacks.items()},
                 "paint": None

@@ -132,7 +132,9 @@ def _more(beside: Contrast, control: str) -> str:
 
 
 def _how(control: CamouflageName) -> str:
-    """Says in words how a control was chosen."""
+    """Says in words how a control was chosen, or names a single draw or paint."""
+    if control.choice is None:
+        return str(control)
     if control.choice == "search":
         return "a random search with as many images"
     if control.choice == "best":

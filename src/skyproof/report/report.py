@@ -31,8 +31,9 @@ from skyproof.report.opening import opening, strongest_of
 from skyproof.report.queries import query_part
 from skyproof.results.conditions import Panel, condition_panels
 from skyproof.results.likeness import LARGEST_DIFFERENCE, LEAST_OVERLAP
+from skyproof.results.operating_points import EQUAL_ALARMS, alarms_in_words
 from skyproof.results.precheck import rate_outcome, rate_words
-from skyproof.results.result import Result
+from skyproof.results.result import FROZEN, Result
 from skyproof.results.results import Results
 from skyproof.results.statistics.acceptance import Requirement
 from skyproof.results.stored import read_log
@@ -160,6 +161,8 @@ def _write(
             real=real_data(results),
             baselines=baselines,
             bounds=(LARGEST_DIFFERENCE, LEAST_OVERLAP),
+            points=[FROZEN, *EQUAL_ALARMS],
+            alarms=alarms_in_words(results.points),
             opening=opening(every, acceptance, precheck, baselines, hardened=hardened is not None),
             example=next(iter(contents.pairs(strongest, 1)), None) if strongest else None,
             more=more,

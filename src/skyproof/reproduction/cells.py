@@ -9,13 +9,16 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from skyproof.results.operating_points import EQUAL_ALARMS
 from skyproof.results.result import Result
+from skyproof.results.results import Results
 from skyproof.results.statistics.intervals import Interval
 from skyproof.words import detector_name
 
 _STAR = re.compile(r"(?<!\*)\*(?!\*)")
+_NET = "net_strongest_control_easr"
 _RATES = (
-    *("easr", "easr_low", "easr_high", "easr_repeat_min", "easr_repeat_max"),
+    *("found_before", "easr", "easr_low", "easr_high", "easr_repeat_min", "easr_repeat_max"),
     *("random_easr", "net_easr", "net_easr_low", "net_easr_high"),
     *("strongest_control_easr", "net_strongest_control_easr"),
     *("net_strongest_control_easr_low", "net_strongest_control_easr_high"),
@@ -63,6 +66,29 @@ def in_percent(row: Result | None) -> dict[str, Any]:
     return {name: values.get(name) for name in told} | {
         name: None if value is None else 100 * value for name, value in rates.items()
     }
+
+
+def at_equal_alarms(results: Results, row: Result | None) -> dict[str, Any]:
+    """Gives the same row at equal false alarms in percent and points, where it is known."""
+    cells: dict[str, Any] = {}
+    for name in EQUAL_ALARMS:
+        at = None if row is None else results.at(row, name)
+        if at is not None:
+            cells[f"found_before_at_{name}"] = 100 * at.found_before
+            cells |= interval_cells(f"easr_at_{name}", at.easr, 100.0)
+            if at.strongest is not None:
+                cells |= interval_cells(f"{_NET}_at_{name}", at.strongest.net, 100.0)
+    return cells
+
+
+def equal_alarm_columns(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, Cell]]:
+    """Shows what `at_equal_alarms` gave to any of the rows."""
+    return [
+        (f"{words} at {alarms}/km²", rate(f"{key}_at_{name}"))
+        for name, alarms in EQUAL_ALARMS.items()
+        for key, words in (("easr", "EASR"), (_NET, "net of best control"))
+        if any(f"{key}_at_{name}" in row for row in rows)
+    ]
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from skyproof.reproduction.cells import (
     Table,
     TextTable,
     Topic,
+    at_equal_alarms,
     in_percent,
     interval_cells,
     number,
@@ -88,7 +89,8 @@ def rates_under(
 
     Chosen controls count only where this renderer has all: beside fewer, more seems optimised.
     """
-    rates = in_percent(results.row(name, detector, renderer=renderer))
+    row = results.row(name, detector, renderer=renderer)
+    rates = in_percent(row) | at_equal_alarms(results, row)
     wanted = [control for control in name.chosen_controls if results.row(control, detector)]
     if all(results.row(control, detector, renderer=renderer) for control in wanted):
         return rates

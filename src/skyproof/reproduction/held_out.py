@@ -22,6 +22,7 @@ from skyproof.reproduction.cells import (
 )
 from skyproof.reproduction.cycles import rates_under
 from skyproof.reproduction.reproduction import Reproduction
+from skyproof.results.operating_points import EQUAL_ALARMS
 from skyproof.results.result import MEAN
 from skyproof.results.results import CYCLES, RENDERER, Results
 from skyproof.results.score_folder import Baseline
@@ -32,7 +33,12 @@ _WEAK = 80.0
 
 _PREFIXES = {RENDERER: "", CYCLES: "cycles_"}
 _DRAWN = {"": (BLUE, "differentiable renderer"), "cycles_": (ORANGE, "Blender Cycles")}
-_RATES = {"easr": "EASR", "net_easr": "net", "net_strongest_control_easr": "net of best control"}
+_RATES = {
+    "easr": "EASR",
+    "net_easr": "net",
+    "net_strongest_control_easr": "net of best control",
+    **{f"easr_at_{point}": f"EASR at {alarms}/km²" for point, alarms in EQUAL_ALARMS.items()},
+}
 _LOWEST = -30.0
 """Where the axis ends at the latest: intervals of rates below zero may go far."""
 
@@ -102,7 +108,8 @@ def _baselines(run: Reproduction, table: str) -> list[dict[str, Any]]:
             rows.append(told | own | {"ap": 100 * facts.validation["ap_centre_1m"]})
         record = results.prechecks.get(detector)
         real = [check for check in record.sets if check.real] if record else []
-        here = [check for check in results.baselines if check.detector == detector]
+        ours = [check for check in results.baselines if check.detector == detector]
+        here = [check for check in ours if check.vehicles]
         rows += [told | _check(check) for check in (*real, *here)]
     return rows
 

@@ -163,7 +163,7 @@ def _score_steps(
     ]
     for prefix, out, detectors, batches in (own, *others):
         for name, folders in batches.items():
-            first = not prefix and name == "000"
+            first = name == "000"
             yield make.score(name, folders, detectors, out, prefix=prefix, empty=first)
         if cycles is not None:
             for name, folders in jobs.cycles_batches.items():

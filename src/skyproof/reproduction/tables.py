@@ -13,6 +13,8 @@ from skyproof.reproduction.cells import (
     Table,
     TextTable,
     Topic,
+    at_equal_alarms,
+    equal_alarm_columns,
     in_percent,
     interval_cells,
     number,
@@ -45,7 +47,9 @@ def main_part(run: Reproduction) -> Topic:
         "range over attacks from different seeds. “random” is the mean EASR of random draws under "
         "the same constraints, “net” the EASR minus that. “best control” is the EASR of the "
         "strongest control found without optimisation (a plain paint or every vertex out, the best "
-        "of N draws, a random search), and “net of it” the EASR minus that. “paper” is what the "
+        "of N draws, a random search, any single draw, any paint of the precheck), and “net of it” "
+        "the EASR minus that. “at 100/km²” are rates at thresholds with as many false alarms per "
+        "km² of empty ground, else at the frozen thresholds. “paper” is what the "
         "paper reports for its own renderer († only in its source’s comments)."
         + (explained if run.cycles else ""),
         Heading("Textures"),
@@ -115,6 +119,7 @@ def _columns(rows: Sequence[Mapping[str, Any]]) -> list[Column]:
         ("net", rate("net_easr")),
         ("best control", value("strongest_control_easr")),
         ("net of it", rate("net_strongest_control_easr")),
+        *equal_alarm_columns(rows),
         ("APD", value("apd")),
     ]
     on_cycles = any("cycles_easr" in row for row in rows)
@@ -165,6 +170,7 @@ def _texture_rows(run: Reproduction) -> list[dict[str, Any]]:
                 "attack": name,
                 "practicality": None if measured is None else measured.score.total,
                 **in_percent(run.row(name)),
+                **at_equal_alarms(run.results, run.row(name)),
                 **_corrected_p(run, name),
                 "paper_easr": paper.easr if paper else None,
                 "paper_apd": paper.apd if paper else None,
@@ -192,6 +198,7 @@ def _shape_rows(run: Reproduction) -> list[dict[str, Any]]:
                 "pr_star": best.practicality,
                 "p1_star": best.p1,
                 **in_percent(run.row(run.best[family])),
+                **at_equal_alarms(run.results, run.row(run.best[family])),
                 **_corrected_p(run, run.best[family]),
                 "paper_pm_star": magnitude,
                 "paper_easr": paper.easr if paper else None,

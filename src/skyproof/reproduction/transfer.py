@@ -22,16 +22,21 @@ def transfer_part(run: Reproduction) -> Topic:
         for name, record in run.results.records.items()
         if record.attack is not None
     }
+    every = [*run.results.rows, *run.results.equal_alarms]
     of_some = (name for name in run.results.names if name.variant.startswith(_OF_SOME))
     rows = [
-        row
+        {**row, "operating_point": point}
         for base in dict.fromkeys(name.base for name in of_some)
-        for row in transfer_rows(run.results.rows, attacked, base)
+        for point in dict.fromkeys(row.operating_point for row in every)
+        for row in transfer_rows(
+            [row for row in every if row.operating_point == point], attacked, base
+        )
     ]
     if not rows:
         return Topic([Table("transfer", rows)])
     columns: list[tuple[str, str | Cell]] = [
         ("attack", "attack"),
+        ("threshold", lambda row: row["operating_point"].replace("_per_", "/")),
         ("learnt on", lambda row: ", ".join(map(detector_name, row["attacked_on"].split()))),
         *((f"EASR on {detector_name(each)}", rate(each)) for each in run.detectors),
     ]

@@ -1,7 +1,6 @@
 """Can the attacks be trusted? Tests, gradients, strength, convergence, rounding, other rules."""
 
 import itertools
-import math
 import re
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
@@ -13,16 +12,18 @@ from skyproof.reproduction.cells import (
     Table,
     TextTable,
     Topic,
+    at_equal_alarms,
+    equal_alarm_columns,
     interval_cells,
-    number,
     rate,
     value,
     word,
 )
 from skyproof.reproduction.reproduction import Reproduction
+from skyproof.results.operating_points import alarms_in_words
 from skyproof.results.result import LENIENT_MATCH
 from skyproof.results.stored import Discretisation
-from skyproof.words import detector_name, probability
+from skyproof.words import probability
 
 _SURE = 0.05
 _OVERLAP = "iou_50"
@@ -273,12 +274,15 @@ def criteria_part(run: Reproduction) -> Topic:
         if camouflage.random or camouflage.variant or centre is None:
             continue
         row = {"attack": str(camouflage), **interval_cells("easr", centre.easr, 100.0)}
+        row |= at_equal_alarms(run.results, centre)
         if overlap := run.results.row(camouflage, match=_OVERLAP):
             row |= interval_cells("easr_iou_50", overlap.easr, 100.0)
             row["ap_iou_50_original"] = 100 * overlap.ap_original
             row["ap_iou_50_adversarial"] = 100 * overlap.ap_adversarial
         if lenient := run.results.row(camouflage, match=LENIENT_MATCH):
             row |= interval_cells(_LENIENT, lenient.easr, 100.0)
+            at = at_equal_alarms(run.results, lenient)
+            row |= {f"{LENIENT_MATCH}_{key}": each for key, each in at.items()}
         for when in ("original", "adversarial"):
             name = f"false_alarms_per_km2_{when}"
             row[name] = getattr(centre, name)
@@ -295,6 +299,7 @@ def criteria_part(run: Reproduction) -> Topic:
         [
             ("attack", "attack"),
             ("EASR", rate("easr")),
+            *equal_alarm_columns(rows),
             ("EASR, IoU ≥ 0.5", rate("easr_iou_50")),
             ("EASR, centre in box", rate(_LENIENT)),
             ("AP, IoU ≥ 0.5", value("ap_iou_50_original")),
@@ -304,16 +309,5 @@ def criteria_part(run: Reproduction) -> Topic:
         ],
     )
     heading = "By overlap, and false alarms"
-    return Topic.of(heading, {"criteria": rows}, text, grid, _on_empty_ground(run))
-
-
-def _on_empty_ground(run: Reproduction) -> str:
-    """Says what is found on images without vehicles; nothing where none were shown."""
-    found = [
-        f"{detector_name(check.detector)} {number(check.false_alarms_per_km2, 0)}"
-        for check in run.results.baselines
-        if not check.vehicles and not math.isnan(check.false_alarms_per_km2)
-    ]
-    if not found:
-        return ""
-    return f"On test ground without vehicles, false alarms per km²: {', '.join(found)}."
+    alarms = alarms_in_words(run.results.points)
+    return Topic.of(heading, {"criteria": rows}, text, grid, *alarms)

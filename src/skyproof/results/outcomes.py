@@ -42,6 +42,7 @@ _MOST_CELLS = 500_000
 _MOST_COUNTS = 30_000_000
 _CELL = ("background", "vehicle")
 _FOUND = ("detected_original", "detected_adversarial")
+_SCORES = ("score_original", "score_adversarial")
 
 _Score = Annotated[float, Meta(ge=-1e6, le=1e6)]
 _Degrees = Annotated[float, Meta(ge=-1e4, le=1e4)]
@@ -234,9 +235,18 @@ def repeat_of(camouflage: str) -> Repeat:
     return Repeat(str(name.pooled), name.repeat, DRAWS if name.random else SEEDS)
 
 
-def read_counts(path: Path) -> OutcomeCounts:
-    """Counts the outcomes of a file that `write_outcomes` wrote, series by first occurrence."""
-    table = read_outcome_table(path, [*Series._fields, *_CELL, *_FOUND])
+def read_counts(path: Path, thresholds: Mapping[str, float] | None = None) -> OutcomeCounts:
+    """Counts the outcomes of a file that `write_outcomes` wrote, series by first occurrence.
+
+    A vehicle is found as in the file, or at other `thresholds` by detector, all above 0; detectors
+    without one are left out then. Matching is greedy by score, so no match changes.
+    """
+    columns = _FOUND if thresholds is None else _SCORES
+    table = read_outcome_table(path, [*Series._fields, *_CELL, *columns])
+    least: Any = True
+    if thresholds is not None:
+        table = table.filter(pc.is_in(table["detector"], pa.array(list(thresholds))))
+        least = np.array([thresholds[name] for name in table["detector"].to_pylist()])
     keys, first, series = _numbered(table, Series._fields)
     found, _, place = _numbered(table, _CELL)
     pairs = [(tile, vehicle) for tile, vehicle in found]
@@ -249,7 +259,7 @@ def read_counts(path: Path) -> OutcomeCounts:
     row_of = {cell: row for row, cell in enumerate(cells)}
     rows = np.array([row_of[cell] for cell in pairs], dtype=np.int64)[place]
     position = series * len(cells) + rows
-    before, after = (table[name].to_numpy() for name in _FOUND)
+    before, after = (table[name].to_numpy() >= least for name in columns)
     shown = (np.ones_like(before), before & after, before & ~after, ~before & after)
     counts = [
         np.bincount(position[mask], minlength=len(keys) * len(cells)).reshape(len(keys), len(cells))

@@ -33,6 +33,8 @@ from skyproof.results.statistics.intervals import (
 )
 
 MEAN = "mean"
+FROZEN = "frozen"
+"""The operating point of the frozen threshold, which decides every verdict."""
 MAIN_MATCH: Match = "centre_1m"
 LENIENT_MATCH: Match = "centre_in_box"
 
@@ -63,22 +65,25 @@ class Contrast:
 class Result:
     """The rates of one camouflage for one detector, or for the mean of all, by one match rule.
 
-    Rates are fractions, nan where undefined. False alarms are at the frozen threshold. The spread
-    of the repeats that share a result is nan for a single one.
+    Rates are fractions, nan where undefined, at one operating point (`EQUAL_ALARMS`, or the frozen
+    threshold). False alarms are known at the frozen threshold alone. The spread of the repeats that
+    share a result is nan for a single one.
 
     Attributes:
         clusters: number of background tiles that show any of the vehicles in sight.
         easr, asr, er: overall success, vehicles lost and vehicles gained.
         apd: drop of the average precision.
         random: contrast with the random control; None without one and for controls.
-        strongest: contrast with the strongest of the plain-paint, best-of-N and search controls.
-            The low limit is the lowest against any of them and the p the largest, so a claim holds
-            against all. None without such controls and for controls.
+        strongest: contrast with the strongest of the plain-paint, best-of-N and search controls,
+            of all draws of the random control and of the precheck's paints (`beside_paints`). The
+            low limit is the lowest against any of them, so a claim holds against all; the p is the
+            largest, but for paints. None without a chosen control and for controls.
         drawn_shape: contrast of a combination with its own texture under random shapes.
         no_camouflage_p, no_camouflage_p_holm: McNemar's exact test against no camouflage, which
             random patterns can pass as well; None for means and controls.
         called_another_class: share of the vehicles found before on which only another class is
             detected, of the first repeat; nan but by the lenient rule, for detectors with others.
+        found_before: share of the vehicles in sight that are found without camouflage.
     """
 
     camouflage: CamouflageName
@@ -105,6 +110,8 @@ class Result:
     no_camouflage_p: float | None = None
     no_camouflage_p_holm: float | None = None
     called_another_class: float = math.nan
+    found_before: float = math.nan
+    operating_point: str = FROZEN
 
     @property
     def net_easr(self) -> Interval | None:
@@ -242,6 +249,7 @@ class _Table:
         totals = group.counts.sum(axis=1)
         of_repeats = overall_attack_success_rate(totals).reshape(len(members), -1).mean(axis=1)
         several = len(of_repeats) > 1
+        found = group.counts[: len(detectors), :, :2].sum(axis=(1, 2))
         ap, alarms = "average_precision", "false_alarms_per_km2"
         ap_original = self._mean([ORIGINAL], detectors, ap)
         ap_adversarial = self._mean(members, detectors, ap)
@@ -273,6 +281,7 @@ class _Table:
             drawn_shape=None if shape is None else self._contrast(members, detectors, shape),
             no_camouflage_p=None if untested else unchanged_p(totals),
             called_another_class=self._mean(members[:1], detectors, "called_another_class"),
+            found_before=float(found.mean()) / int(in_sight.sum()),
         )
 
     def _drawn(self, control: CamouflageName, detectors: list[str]) -> list[str]:
@@ -309,23 +318,37 @@ class _Table:
         drawn = self._drawn(control, detectors)
         if not drawn:
             return None
+        beside = self._beside(members, detectors, control, drawn)
+        return replace(beside, p=self._p(members, detectors, drawn))
+
+    def _beside(
+        self, members: list[str], detectors: list[str], control: CamouflageName, drawn: list[str]
+    ) -> Contrast:
+        """Sets a camouflage beside these draws of a control, without a test."""
         group = self.group(drawn, detectors)
         net = difference_interval([self.group(members, detectors)], [group])
-        p = self._p(members, detectors, drawn)
-        return Contrast(control, group.rate, len(drawn), net, p)
+        return Contrast(control, group.rate, len(drawn), net)
 
     def _strongest(
         self, members: list[str], detectors: list[str], name: CamouflageName
     ) -> Contrast | None:
-        """Sets it beside the strongest chosen control, with the limit and p that hold for all."""
-        every = [self._contrast(members, detectors, control) for control in name.chosen_controls]
-        found = [each for each in every if each is not None]
-        if not found:
+        """Sets it beside the strongest chosen control, with the limit and p that hold for all.
+
+        Every draw of the random control enters by itself: one may hide more than what was chosen.
+        """
+        every = {control: self._drawn(control, detectors) for control in name.chosen_controls}
+        if not any(every.values()):
             return None
+        drawn = self._drawn(name.control, detectors)
+        every |= {CamouflageName.read(draw): [draw] for draw in drawn}
+        found = [
+            self._beside(members, detectors, control, draws)
+            for control, draws in every.items()
+            if draws
+        ]
         best = max(found, key=lambda each: each.easr)
         low = float(np.min([each.net.low for each in found]))
-        draws = [draw for each in found for draw in self._drawn(each.control, detectors)]
-        p = self._p(members, detectors, draws)
+        p = self._p(members, detectors, [draw for draws in every.values() for draw in draws])
         return replace(best, net=replace(best.net, low=low), p=p)
 
     def _p(self, members: list[str], detectors: list[str], drawn: list[str]) -> float | None:

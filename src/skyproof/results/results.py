@@ -3,7 +3,7 @@
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
@@ -15,9 +15,11 @@ from skyproof.detectors.card import DetectorCard
 from skyproof.files import inside, write_json
 from skyproof.layout import Layout
 from skyproof.results.likeness import Likeness
+from skyproof.results.operating_points import OperatingPoint, equal_alarm_rows, points_of, table
 from skyproof.results.outcomes import Outcome, OutcomeCounts, Series, read_outcomes
+from skyproof.results.paints import beside_paints
 from skyproof.results.precheck import PrecheckRecord, read_prechecks
-from skyproof.results.result import LENIENT_MATCH, MAIN_MATCH, MEAN, Result, by_main_rule, summarise
+from skyproof.results.result import FROZEN, LENIENT_MATCH, MAIN_MATCH, MEAN, Result, by_main_rule
 from skyproof.results.rows_file import flat_row
 from skyproof.results.score_folder import Baseline, Pair, ScoreFolder, merge_scores
 from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
@@ -35,7 +37,6 @@ from skyproof.results.stored import (
     read_timings,
 )
 from skyproof.scenes.scene import Scene, read_scenes
-from skyproof.seeds import numpy_generator
 
 RENDERER = "torch"
 """The renderer that attacks go through."""
@@ -57,9 +58,9 @@ class RendererChange:
 class Results:
     """All results of one run. What a run folder lacks is empty.
 
-    `rows` are the table of results, renderer by renderer, by each match rule, from the `counts` of
-    outcomes. Cards and prechecks are by detector, records of camouflages by folder, and
-    practicality is by camouflage without repeat.
+    `rows` are the table at the frozen thresholds, renderer by renderer, by each match rule, from
+    the `counts` of outcomes. Cards and prechecks are by detector, records of camouflages by folder,
+    and practicality is by camouflage without repeat.
     """
 
     folder: Path
@@ -74,6 +75,7 @@ class Results:
     records: Mapping[str, AttackRecord]
     practicality: Mapping[CamouflageName, Practicality]
     prechecks: Mapping[str, PrecheckRecord] = field(default_factory=dict)
+    seed: int = 0
 
     @classmethod
     def open(cls, run_folder: str | Path) -> Self:
@@ -90,17 +92,10 @@ class Results:
         counts, sets = merge_scores(scores)
         config = read_config(layout.config)
         seed = scores[0].record.seed if config.seed is None and scores else config.seed or 0
-        rows: list[Result] = []
-        for renderer in dict.fromkeys(key.renderer for key in counts.series):
-            # One by one, Holm's correction too: a renderer's numbers stay as they are when another
-            # is added.
-            series = {key: each for key, each in counts.series.items() if key.renderer == renderer}
-            generator = numpy_generator(seed)
-            rows += summarise(OutcomeCounts(counts.cells, series), sets, generator=generator)
-        return cls(
+        results = cls(
             folder=folder,
             scores=scores,
-            rows=rows,
+            rows=table(counts, sets, seed),
             counts=counts,
             baselines=_merged_baselines(scores, prechecks),
             config=config,
@@ -110,15 +105,35 @@ class Results:
             records=read_records(layout.camouflages),
             practicality=_practicality(scores),
             prechecks=prechecks,
+            seed=seed,
         )
+        own, names = results.own_prechecks, results.detectors
+        return replace(results, rows=[beside_paints(row, own, names) for row in results.rows])
 
     def write(self, worst: Sequence[Mapping[str, Any]] = ()) -> Path:
         """Writes `results.json`; rates are fractions, undefined ones null."""
         path = Layout(self.folder).results
-        rows = [row.json() for row in self.rows]
-        baselines = [flat_row(baseline) for baseline in self.baselines]
-        write_json(path, {"rows": rows, "baselines": baselines, "worst_cases": list(worst)})
+        document = {
+            "rows": [row.json() for row in self.rows],
+            "equal_alarms": [row.json() for row in self.equal_alarms],
+            "operating_points": [flat_row(one) for own in self.points.values() for one in own],
+            "baselines": [flat_row(baseline) for baseline in self.baselines],
+            "worst_cases": list(worst),
+        }
+        write_json(path, document)
         return path
+
+    @cached_property
+    def points(self) -> dict[str, list[OperatingPoint]]:
+        """The operating points of each detector; none where no empty ground was scored."""
+        empty = [one for one in self.baselines if not one.vehicles and not one.real]
+        first = {one.detector: points_of(one) for one in reversed(empty) if one.area_km2 > 0}
+        return {name: first.get(name, []) for name in self.detectors}
+
+    @cached_property
+    def equal_alarms(self) -> list[Result]:
+        """The table at equal false alarms (`EQUAL_ALARMS`); empty where none are known."""
+        return equal_alarm_rows(self.scores, self.points, self.seed)
 
     @cached_property
     def detectors(self) -> list[str]:
@@ -160,19 +175,21 @@ class Results:
         return read_scenes(place) if place.exists() else []
 
     @cached_property
+    def own_prechecks(self) -> dict[str, PrecheckRecord]:
+        """The prechecks on scenes of the test, as far as its scenes are known."""
+        every, scenes = self.prechecks.items(), self.test_scenes
+        return {name: each for name, each in every if not scenes or each.was_made_on(scenes)}
+
+    @cached_property
     def likeness(self) -> list[Likeness]:
         """Photographed and rendered vehicles compared, once per detector and rule.
 
         Scores show all test scenes, prechecks some of them.
         """
-        scenes = self.test_scenes
         scored = [each for each in self.scores if each.record.renderer == RENDERER]
-        checked = [
-            each for each in self.prechecks.values() if not scenes or each.was_made_on(scenes)
-        ]
         every = [
             *(row for score in scored for row in score.likeness()),
-            *(row for record in checked for row in record.likeness),
+            *(row for record in self.own_prechecks.values() for row in record.likeness),
         ]
         first = {(row.detector, row.match): row for row in reversed(every)}
         return [row for row in every if first[row.detector, row.match] is row]
@@ -196,7 +213,11 @@ class Results:
     ) -> Result | None:
         """Finds a camouflage's row, of the mean over detectors or of one; None if not scored."""
         wanted = detector or (MEAN if len(self.detectors) > 1 else self.detectors[0])
-        return self._by_name.get((name, wanted, renderer, match))
+        return self._by_name.get((name, wanted, renderer, match, FROZEN))
+
+    def at(self, row: Result, point: str) -> Result | None:
+        """Gives the same result at another operating point; None where it is not known."""
+        return self._by_name.get((row.camouflage, row.detector, row.renderer, row.match, point))
 
     @cached_property
     def quoted(self) -> list[Result]:
@@ -297,8 +318,11 @@ class Results:
         return [row for row in self.rows if row.detector != MEAN]
 
     @cached_property
-    def _by_name(self) -> dict[tuple[CamouflageName, str, str, str], Result]:
-        return {(row.camouflage, row.detector, row.renderer, row.match): row for row in self.rows}
+    def _by_name(self) -> dict[tuple[CamouflageName, str, str, str, str], Result]:
+        return {
+            (row.camouflage, row.detector, row.renderer, row.match, row.operating_point): row
+            for row in (*self.rows, *self.equal_alarms)
+        }
 
     @cached_property
     def _outcomes(self) -> Mapping[str | None, list[Outcome]]:

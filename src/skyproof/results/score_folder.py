@@ -8,7 +8,7 @@ It holds `score.json`, `outcomes.parquet`, `sets.json`, `baselines.json`, `liken
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Self
 
@@ -54,7 +54,8 @@ class Baseline:
     recall and false alarms are at the frozen threshold by centre distance, AP and recall also by
     the lenient rule, which older rows lack. Vehicles are called another class if only that is
     detected on them, which is known of detectors with other classes. A camera took `real` images,
-    and the note tells their source and processing.
+    and the note tells their source and processing. Of rendered ground without vehicles, the highest
+    scores of false alarms are kept, falling: more than 100 per km², or all.
     """
 
     detector: Name
@@ -75,6 +76,8 @@ class Baseline:
     ap_centre_in_box: Fraction = math.nan
     recall_centre_in_box: Fraction = math.nan
     called_another_class: Fraction = math.nan
+    area_km2: Annotated[float, Meta(ge=0, le=1e9)] = math.nan
+    alarm_scores: Annotated[tuple[_Threshold, ...], Meta(max_length=10**7)] = ()
 
     @property
     def leniently(self) -> str:
@@ -214,14 +217,20 @@ class ScoreFolder:
         return read_document(path, _PracticalityFile, _REMEDY).rows if path.exists() else []
 
 
-def merge_scores(folders: Sequence[ScoreFolder]) -> tuple[OutcomeCounts, list[SetScore]]:
+def merge_scores(
+    folders: Sequence[ScoreFolder], thresholds: Mapping[str, float] | None = None
+) -> tuple[OutcomeCounts, list[SetScore]]:
     """Reads the outcomes and set scores of several score folders that share scenes and detectors.
+
+    With `thresholds` as in `read_counts`, the set scores have average precision alone.
 
     The same result in several folders (the unchanged images always are) must be equal in all of
     them. Folders with baselines alone are passed over.
     """
     compared = [folder for folder in folders if folder.record.renderer]
-    read = [(folder, read_counts(folder.path / "outcomes.parquet")) for folder in compared]
+    read = [
+        (folder, read_counts(folder.path / "outcomes.parquet", thresholds)) for folder in compared
+    ]
     cells = sorted({cell for _, counts in read for cell in counts.cells})
     place = {cell: index for index, cell in enumerate(cells)}
     series: dict[Series, np.ndarray] = {}
@@ -243,7 +252,11 @@ def merge_scores(folders: Sequence[ScoreFolder]) -> tuple[OutcomeCounts, list[Se
             series.setdefault(key, spread)
             source.setdefault(key, folder)
     _refuse_other_detectors(source)
-    return OutcomeCounts(tuple(cells), series), _merge_sets(compared)
+    sets = _merge_sets(compared)
+    if thresholds is not None:
+        nan = math.nan
+        sets = [replace(each, false_alarms_per_km2=nan, called_another_class=nan) for each in sets]
+    return OutcomeCounts(tuple(cells), series), sets
 
 
 def _refuse_other_detectors(source: dict[Series, ScoreFolder]) -> None:

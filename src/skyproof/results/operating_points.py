@@ -1,0 +1,109 @@
+"""Operating points of a detector: its frozen threshold, and two with given false alarms."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from skyproof.results.outcomes import OutcomeCounts
+from skyproof.results.result import FROZEN, MEAN, Result, summarise
+from skyproof.results.score_folder import Baseline, ScoreFolder, SetScore, merge_scores
+from skyproof.seeds import numpy_generator
+from skyproof.words import detector_name, number
+
+EQUAL_ALARMS = {"100_per_km2": 100, "10_per_km2": 10}
+"""False alarms per km² of empty ground at the operating points beside the frozen threshold."""
+
+_FEWEST = 3
+"""Expected false alarms below which chance alone would choose the threshold."""
+
+
+@dataclass(frozen=True)
+class OperatingPoint:
+    """A threshold with its false alarms per km² of empty ground; both nan if `why` says so."""
+
+    detector: str
+    name: str
+    threshold: float
+    false_alarms_per_km2: float
+    why: str = ""
+
+
+def points_of(ground: Baseline) -> list[OperatingPoint]:
+    """Gives the operating points of a detector from its baseline on empty ground, frozen first.
+
+    At a given rate it is the lowest threshold with at most so many false alarms, midway between two
+    scores. Equal scores count together.
+    """
+    frozen = (FROZEN, ground.threshold, ground.false_alarms_per_km2)
+    points = [OperatingPoint(ground.detector, *frozen)]
+    scores = ground.alarm_scores
+    for name, rate in EQUAL_ALARMS.items():
+        expected = rate * ground.area_km2
+        count = math.floor(expected + 1e-9)
+        reached = count < len(scores)
+        while reached and count and scores[count - 1] == scores[count]:
+            count -= 1
+        if expected < _FEWEST:
+            why = (
+                f"cannot be told on {ground.area_km2:.2g} km² of empty ground, where "
+                f"{expected:.1f} are expected and at least {_FEWEST} are needed"
+            )
+        elif not reached:
+            every = number(len(scores) / ground.area_km2)
+            lowest = f", down to a score of {scores[-1]:.2f}," if scores else ""
+            why = f"are not reached, because all detections{lowest} make {every}"
+        else:
+            why = "" if count else "are not reached, because more share the highest score"
+        told = (math.nan, math.nan)
+        if not why:
+            told = ((scores[count - 1] + scores[count]) / 2, count / ground.area_km2)
+        points.append(OperatingPoint(ground.detector, name, *told, why))
+    return points
+
+
+def table(counts: OutcomeCounts, sets: Sequence[SetScore], seed: int) -> list[Result]:
+    """Summarises renderer by renderer, so that none changes the numbers of another one."""
+    rows: list[Result] = []
+    for renderer in dict.fromkeys(key.renderer for key in counts.series):
+        series = {key: each for key, each in counts.series.items() if key.renderer == renderer}
+        own = OutcomeCounts(counts.cells, series)
+        rows += summarise(own, sets, generator=numpy_generator(seed))
+    return rows
+
+
+def equal_alarm_rows(
+    scores: Sequence[ScoreFolder], points: Mapping[str, Sequence[OperatingPoint]], seed: int
+) -> list[Result]:
+    """Gives the table at each operating point, without the detectors that do not reach it.
+
+    `points` are by scoring detector. The mean is given where all of them do.
+    """
+    rows: list[Result] = []
+    for name in EQUAL_ALARMS:
+        reached = [
+            one for own in points.values() for one in own if one.name == name and not one.why
+        ]
+        if reached:
+            merged = merge_scores(scores, {one.detector: one.threshold for one in reached})
+            rows += [
+                replace(row, operating_point=name)
+                for row in table(*merged, seed)
+                if row.detector != MEAN or len(reached) == len(points)
+            ]
+    return rows
+
+
+def alarms_in_words(points: Mapping[str, Sequence[OperatingPoint]]) -> list[str]:
+    """Says per detector at how many false alarms its thresholds stand."""
+    sentences = []
+    for detector, (frozen, *others) in ((name, own) for name, own in points.items() if own):
+        told = [
+            f"{EQUAL_ALARMS[one.name]} per km² {one.why or f'are at {one.threshold:.2f}'}."
+            for one in others
+        ]
+        sentences.append(
+            f"The frozen threshold of {detector_name(detector)}, {frozen.threshold:.2f}, stands at "
+            f"{number(frozen.false_alarms_per_km2)} false alarms per km² of empty ground. "
+            + " ".join(told)
+        )
+    return sentences

@@ -1,0 +1,191 @@
+"""Thresholds at given false alarms, and the rates there, by hand."""
+
+import dataclasses
+import json
+import math
+
+import pytest
+
+from skyproof.report.report import write_report
+from skyproof.results.operating_points import alarms_in_words, points_of
+from skyproof.results.outcomes import write_outcomes
+from skyproof.results.result import MEAN
+from skyproof.results.results import Results
+from skyproof.results.rows_file import write_rows
+from skyproof.results.score_folder import (
+    Baseline,
+    ScoreRecord,
+    SetScore,
+    write_record,
+)
+from skyproof.results.statistics.intervals import Interval
+from tests.results.test_worst import outcome
+
+NOTHING = Interval(math.nan, math.nan, math.nan)
+
+
+def ground(area_km2, scores, *, detector="retinanet", threshold=0.5, vehicles=0, real=False):
+    alarms = sum(score >= threshold for score in scores)
+    return Baseline(
+        detector, "ground without vehicles", 10, vehicles, real, NOTHING, "images", 10, math.nan,
+        NOTHING, NOTHING, threshold, alarms / area_km2, area_km2=area_km2,
+        alarm_scores=tuple(scores),
+    )  # fmt: skip
+
+
+def test_thresholds_lie_midway_between_the_last_alarm_and_the_next():
+    frozen, hundred, ten = points_of(ground(0.3, [*(0.9 - i / 100 for i in range(31))]))
+    assert (frozen.threshold, frozen.false_alarms_per_km2) == (0.5, 31 / 0.3)
+    # 30 and 3 alarms are allowed.
+    assert hundred.threshold == pytest.approx((0.61 + 0.60) / 2)
+    assert hundred.false_alarms_per_km2 == pytest.approx(100)
+    assert ten.threshold == pytest.approx((0.88 + 0.87) / 2)
+    assert ten.false_alarms_per_km2 == pytest.approx(10)
+
+
+def test_equal_scores_count_together():
+    _, hundred, _ = points_of(ground(0.03, [0.9, 0.8, 0.8, 0.8]))
+    assert hundred.threshold == pytest.approx(0.85)
+    assert hundred.false_alarms_per_km2 == pytest.approx(1 / 0.03)
+    _, hundred, _ = points_of(ground(0.03, [0.9] * 4))
+    assert math.isnan(hundred.threshold)
+    assert hundred.why == "are not reached, because more share the highest score"
+
+
+def test_what_ground_or_scores_do_not_tell_is_said_in_a_sentence():
+    points = points_of(ground(0.05, [0.9, 0.8, 0.7, 0.4]))
+    assert [math.isnan(point.threshold) for point in points] == [False, True, True]
+    (said,) = alarms_in_words({"retinanet": points})
+    assert said == (
+        "The frozen threshold of RetinaNet, 0.50, stands at 60 false alarms per km² of empty "
+        "ground. 100 per km² are not reached, because all detections, down to a score of 0.40, "
+        "make 80. 10 per km² cannot be told on 0.05 km² of empty ground, where 0.5 are expected "
+        "and at least 3 are needed."
+    )
+    # As many alarms as allowed do not tell how low the threshold would be.
+    assert points_of(ground(0.04, [0.9, 0.8, 0.7, 0.4]))[1].why
+    assert points_of(ground(0.04, [0.9, 0.8, 0.7, 0.4, 0.3]))[1].threshold == 0.35
+    assert "because all detections make 0" in alarms_in_words({"a": points_of(ground(1.0, []))})[0]
+
+
+# By place on every tile: the score without and with T-U, and in the plain paint.
+SCORES = [(0.9, 0.0, 0.9), (0.9, 0.4, 0.9), (0.8, 0.7, 0.7), (0.45, 0.1, 0.0), (0.2, 0.0, 0.3)]
+ALARMS = [0.99, 0.95, 0.75, 0.6, 0.4, 0.2]
+
+
+def scored(folder, factors, *, alarms=ALARMS, area_km2=0.04):
+    """Two rules, detectors with these factors on all scores, and the frozen threshold 0.5."""
+    outcomes = [
+        dataclasses.replace(
+            outcome(tile, place, camouflage, True, match),
+            detector=detector,
+            detected_original=before * factor >= 0.5,
+            detected_adversarial=after * factor >= 0.5,
+            score_original=before * factor,
+            score_adversarial=after * factor,
+        )
+        for detector, factor in factors.items()
+        for match in ("centre_1m", "centre_in_box")
+        for camouflage, column in (("T-U-0", 1), ("R-U_plain", 2))
+        for tile in range(4)
+        for place, row in enumerate(SCORES)
+        for before, after in [(row[0], row[column])]
+    ]
+    score = folder / "scores" / "test"
+    write_outcomes(score / "outcomes.parquet", outcomes)
+    sets = [
+        SetScore(camouflage, "torch", detector, match, 0.9, 1.0)
+        for detector in factors
+        for match in ("centre_1m", "centre_in_box")
+        for camouflage in ("original", "T-U-0", "R-U_plain")
+    ]
+    write_rows(score / "sets.json", sets)
+    grounds = [
+        ground(area_km2, [alarm * factor for alarm in alarms], detector=detector)
+        for detector, factor in factors.items()
+    ]
+    # Others tell nothing of empty ground.
+    others = [ground(0.04, ALARMS, detector=name, vehicles=3) for name in factors]
+    others += [ground(0.04, ALARMS, detector=name, real=True) for name in factors]
+    others = [dataclasses.replace(one, dataset=f"{n}") for n, one in enumerate(others)]
+    write_rows(score / "baselines.json", [*others, *grounds])
+    write_record(score, ScoreRecord(dict.fromkeys(factors, 0.5), renderer="torch"))
+    return Results.open(folder)
+
+
+def rates(results, detector, point, match="centre_1m"):
+    return next(
+        row
+        for row in results.equal_alarms
+        if (row.detector, row.operating_point, row.match) == (detector, point, match)
+        and str(row.camouflage) == "T-U"
+    )
+
+
+def test_rates_at_equal_alarms_do_not_depend_on_the_scale_of_scores(tmp_path):
+    results = scored(tmp_path, {"retinanet": 1.0, "faster_rcnn": 0.6})
+    strict = [row for row in results.rows if row.match == "centre_1m"]
+    frozen = {row.detector: row for row in strict if str(row.camouflage) == "T-U"}
+    # Found are three and two of five, hidden are two and one of these.
+    assert (frozen["retinanet"].found_before, frozen["retinanet"].easr.estimate) == (0.6, 2 / 3)
+    assert (frozen["faster_rcnn"].found_before, frozen["faster_rcnn"].easr.estimate) == (0.4, 1.0)
+    for detector in ("retinanet", "faster_rcnn", MEAN):
+        for match in ("centre_1m", "centre_in_box"):
+            # Four alarms are allowed on 0.04 km², so the threshold is halfway from 0.6 to 0.4.
+            row = rates(results, detector, "100_per_km2", match)
+            assert (row.found_before, row.easr.estimate) == (0.6, 2 / 3)
+            assert row.strongest.net.estimate == pytest.approx(2 / 3)
+            assert math.isnan(row.false_alarms_per_km2_original)
+            assert row.ap_original == 0.9
+    assert {row.operating_point for row in results.equal_alarms} == {"100_per_km2"}
+    assert results.at(frozen["retinanet"], "100_per_km2") is rates(
+        results, "retinanet", "100_per_km2"
+    )
+    assert results.at(frozen["retinanet"], "10_per_km2") is None
+
+
+def test_a_lower_threshold_finds_more(tmp_path):
+    results = scored(tmp_path, {"retinanet": 1.0}, alarms=[0.9, 0.8, 0.7, 0.4, 0.35])
+    row = rates(results, "retinanet", "100_per_km2")
+    # 0.375: four of five are found, and T-U leaves two of them.
+    assert (row.found_before, row.easr.estimate) == (0.8, 0.5)
+
+
+def test_a_detector_without_low_scores_is_left_out_and_so_is_the_mean(tmp_path):
+    results = scored(tmp_path, {"retinanet": 1.0, "faster_rcnn": 0.6})
+    place = tmp_path / "scores" / "test" / "baselines.json"
+    document = json.loads(place.read_text())
+    document["rows"][-1]["alarm_scores"] = [0.9]
+    place.write_text(json.dumps(document))
+    results = Results.open(tmp_path)
+    assert {row.detector for row in results.equal_alarms} == {"retinanet"}
+
+
+def test_the_report_and_its_files_have_every_operating_point(tmp_path):
+    scored(tmp_path, {"retinanet": 1.0, "faster_rcnn": 0.6})
+    page = write_report(tmp_path).read_text()
+    stored = json.loads((tmp_path / "results.json").read_text())
+    assert {row["operating_point"] for row in stored["rows"]} == {"frozen"}
+    (mean,) = [
+        row
+        for row in stored["equal_alarms"]
+        if (row["camouflage"], row["detector"], row["match"]) == ("T-U", MEAN, "centre_1m")
+    ]
+    assert (mean["operating_point"], mean["found_before"]) == ("100_per_km2", 0.6)
+    assert [one["threshold"] for one in stored["operating_points"]] == [
+        *(0.5, 0.5, None),
+        *(0.5, pytest.approx(0.3), None),
+    ]
+    table = page.partition("At equal false alarms")[2].partition("</table>")[0]
+    cells = [text.partition("<")[0] for text in table.split("<td>")]
+    assert [cell for cell in cells if cell.endswith("%")][:2] == ["50\u202f%", "60\u202f%"]
+    assert "The frozen threshold of Faster R-CNN, 0.50, stands at 50 false alarms" in page
+    assert "10 per km² cannot be told on 0.04 km²" in page
+
+
+def test_without_empty_ground_nothing_is_claimed(tmp_path):
+    scored(tmp_path, {"retinanet": 1.0})
+    write_rows(tmp_path / "scores" / "test" / "baselines.json", [])
+    page = write_report(tmp_path).read_text()
+    assert "At equal false alarms" not in page
+    assert "so the false alarms at the frozen threshold are not known" in page
