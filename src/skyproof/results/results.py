@@ -3,7 +3,7 @@
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
@@ -331,7 +331,8 @@ class Results:
     def _group(self, camouflage: str) -> Group | None:
         keys = [Series(camouflage, RENDERER, detector, MAIN_MATCH) for detector in self.detectors]
         known = all(key in self.counts.series for key in keys)
-        return self.counts.group(keys, self.sample) if known else None
+        # What is asked is what this one hides, not what another start would.
+        return replace(self.counts.group(keys, self.sample), repeats=()) if known else None
 
 
 def _merged_baselines(
