@@ -12,9 +12,10 @@ from markupsafe import Markup
 from skyproof.errors import ConfigurationError
 from skyproof.files import write_json
 from skyproof.layout import Layout
-from skyproof.report.acceptance import Ruling, _attacks, _doubted
+from skyproof.report.acceptance import Ruling, _doubted
 from skyproof.report.queries import QueryPart
 from skyproof.report.report import write_report
+from skyproof.report.tiles import attack_tiles
 from skyproof.results.outcomes import OutcomeCounts, read_counts
 from skyproof.results.results import Results
 from skyproof.results.rows_file import flat_row, write_rows
@@ -24,6 +25,7 @@ from skyproof.results.statistics.planning import tiles_to_show
 from skyproof.scenes.scene import (
     BackgroundWindow,
     Camera,
+    Placement,
     Scene,
     Sun,
     scenes_digest,
@@ -139,6 +141,33 @@ def test_the_verdict_tells_the_false_alarms_at_the_frozen_threshold(run_folder):
     assert told == {"retinanet": pytest.approx(20), "faster_rcnn": None}
 
 
+def test_a_tile_could_show_as_many_vehicles_as_its_scenes(run_folder):
+    """Two scenes show 1 to 4 vehicles on each tile; no tile shows as many as it could."""
+    results = Results.open(run_folder)
+    window, camera = BackgroundWindow("tile", 96.0, 96.0, 0.0), Camera(0.1, 0.2, 0.125, 96)
+    four = tuple(Placement(f"van-{one}", 0.0, 0.0, 0.0) for one in range(4))
+    scenes = [
+        Scene(
+            f"test-{one}",
+            replace(window, tile=f"tile-{one // 2}"),
+            camera,
+            Sun(0.3, 0.8),
+            four,
+            one,
+        )
+        for one in range(60)
+    ]
+    tiles = attack_tiles(results.counts, "retinanet", scenes)["T-U"]
+    assert (tiles.scenes == 2).all()
+    assert tiles.most == 4
+    # Without the scenes, and with those of another test, every tile could be the fullest.
+    for others in ([], scenes[:10]):
+        unknown = attack_tiles(results.counts, "retinanet", others)["T-U"]
+        assert (unknown.scenes == 1).all()
+        assert unknown.most == tiles.found.max()
+        assert (unknown.found == tiles.found).all()
+
+
 def test_a_detector_that_failed_or_missed_its_check_gets_no_verdict(run_folder):
     for name in DETECTORS:
         (run_folder / "detectors" / name / "precheck.json").unlink()
@@ -173,7 +202,7 @@ def test_a_detector_that_loses_most_to_one_plain_paint_is_rejected(run_folder):
     at_least = round(100 * verdict["detectors"][0]["paint"]["at_least"])
     assert (
         "RetinaNet is REJECTED: the plain paint RGB (255, 255, 0) on body panels hides 80 % of the "
-        f"vehicles found before (mean of the tiles, bounds {at_least} to "
+        f"vehicles found before (bounds {at_least} to "
     ) in page
     opening = page[: page.index("State of the detectors")]
     assert "RetinaNet: REJECTED 80 %" in opening
@@ -368,7 +397,7 @@ def test_where_gradients_mislead_nothing_is_accepted(tmp_path):
     kept = {"T-U_step10-0": set(), "T-U_asked1500": set(), "T-U_relaxed": set()}
     hides = missed({**found, **kept, "T-U_asked": set(range(4)), "T-U_on_mine": {0}})
     results = scored(tmp_path, hides)
-    attacks = _attacks(results.counts, results.detectors[0])
+    attacks = attack_tiles(results.counts, results.detectors[0], [])
     assert set(attacks) == {"T-U", "T-U_transfer", "T-U_asked", "T-U_on_mine"}
     requirement = Requirement(0.5, 0.9999)
     ruling = Ruling("mine", "accepted", ["mine is ACCEPTED: so.", "T-U hides 0 %."], 0, {})

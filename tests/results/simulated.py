@@ -13,6 +13,7 @@ from scipy import optimize, special
 
 from skyproof.results.statistics.contrasts import (
     DRAWS,
+    GIVEN,
     SEEDS,
     TRAININGS,
     Group,
@@ -35,7 +36,7 @@ class Side:
         rate: mean over tiles, vehicles and repeats of the share that is lost.
         repeats: how many.
         repeat_sd: standard deviation of their rates.
-        kind: what sort of repeats.
+        kind: what sort of repeats; by default seeds, and a single one stands for itself.
         detectors: which share the repeats' rates, and nothing of what single vehicles do.
         trainings: of the detectors. Seeds are each training's own, all trainings judge the same
             draws.
@@ -45,7 +46,7 @@ class Side:
     rate: float
     repeats: int = 1
     repeat_sd: float = 0.0
-    kind: RepeatKind = SEEDS
+    kind: RepeatKind | None = None
     detectors: int = 1
     trainings: int = 1
     training_sd: float = 0.0
@@ -57,10 +58,11 @@ class Side:
 
     def repeats_of(self, of, training, repeat):
         """What a series is one of, as results say it: seeds lie within trainings."""
-        own = Repeat(of, str(repeat), self.kind)
+        kind = self.kind or (SEEDS if self.repeats > 1 else GIVEN)
+        own = Repeat(of, str(repeat), kind)
         if self.trainings == 1:
             return [own]
-        within = [] if self.kind == SEEDS else [own]
+        within = [] if kind == SEEDS else [own]
         return [*within, Repeat("detectors", str(training), TRAININGS)]
 
 
@@ -195,7 +197,7 @@ def _before(rate, gained=0.0, **given):
 
 
 WIDE = Side(0.4, 30, 0.4, DRAWS)
-FEW = Side(0.4, 3, 0.4, DRAWS)
+FEW = Side(0.2, 3, 0.2, DRAWS)
 LEARNT = Side(0.8, 3, 0.1)
 TRAINED = Side(0.8, trainings=3, training_sd=0.1)
 
@@ -230,7 +232,7 @@ WORLDS = {
     "3 seeds of SD 0.1, 0.8": World((LEARNT,)),
     "3 seeds of SD 0.1, 0.9, 100 like tiles": World((Side(0.9, 3, 0.1),), 100, tile_sd=0.05),
     "30 draws of SD 0.4": World((WIDE,)),
-    "3 draws of SD 0.4": World((FEW,)),
+    "3 draws of SD 0.2": World((FEW,)),
     "net of 30 draws, all together": World((LEARNT, WIDE), vehicle_sd=0.3),
     "net of 3 draws, all together": World((LEARNT, FEW), vehicle_sd=0.3),
     "3 trainings of SD 0.1, 0.8": World((TRAINED,)),
@@ -244,6 +246,16 @@ WORLDS = {
         (TRAINED, Side(0.2, 10, 0.1, DRAWS, trainings=3, training_sd=0.05)), vehicle_sd=0.3
     ),
 }
+
+STARTS = {
+    f"{count} of starts of SD {sd:g}, {rate:g}": World(
+        (Side(rate, count, sd, SEEDS),), 37, tile_sd=0.12, vehicle_sd=0.05
+    )
+    for rate in (0.9, 0.5)
+    for sd in (0.0, 0.015, 0.03, 0.1)
+    for count in (1, 3, 5)
+}
+"""One to five starts that differ as little as those of textures, or as much as those of shapes."""
 
 STUDIED = {
     "vehicle SD 0.3, 0.8, fleet of 8": World((Side(0.8),), fleet=8, vehicle_sd=0.3),
@@ -276,6 +288,6 @@ STUDIED = {
 
 
 if __name__ == "__main__":
-    for name, world in (WORLDS | STUDIED).items():
+    for name, world in (WORLDS | STARTS | STUDIED).items():
         held, width = coverage(world, runs=int(sys.argv[1]), seed=3)
         print(f"| {name} | {100 * held:.1f} % | {width:.3f} |", flush=True)

@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 
 from skyproof.errors import ConfigurationError
-from skyproof.results.statistics.acceptance import Requirement, evidence_above, evidence_below
+from skyproof.results.statistics.acceptance import (
+    Requirement,
+    Tiles,
+    evidence_above,
+    evidence_below,
+)
 from skyproof.results.statistics.planning import Assumptions, _chances, tiles_to_decide
 
 
@@ -28,10 +33,11 @@ def test_as_many_tiles_as_planned_decide():
     tiles = tiles_to_decide(requirement, assumptions)
     generator = np.random.default_rng(5)
     for rate in (0.1, 0.3):
-        found = 1 + generator.poisson(5, (500, tiles))
+        scenes = 1 + generator.poisson(1, (500, tiles))
+        found = scenes + generator.binomial(4 * scenes, 0.5)
         inside = generator.beta(rate * 9, (1 - rate) * 9, (500, tiles))
-        shares = generator.binomial(found, inside) / found
-        decided = (evidence_below(shares, 0.3) >= 20) | (evidence_above(shares, 0.1) >= 20)
+        seen = Tiles(scenes, found, generator.binomial(found, inside))
+        decided = (evidence_below(seen, 0.3) >= 20) | (evidence_above(seen, 0.1) >= 20)
         assert decided.mean() >= 0.85
     assert tiles_to_decide(Requirement(0.1, 0.2), assumptions) > 2 * tiles
     with pytest.raises(ConfigurationError, match="farther apart"):

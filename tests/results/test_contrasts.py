@@ -10,7 +10,15 @@ import numpy as np
 import pytest
 
 from skyproof.results.statistics import contrasts
-from skyproof.results.statistics.contrasts import DRAWS, SEEDS, TRAININGS, Group, Repeat
+from skyproof.results.statistics.contrasts import (
+    DRAWS,
+    GIVEN,
+    SEARCHES,
+    SEEDS,
+    TRAININGS,
+    Group,
+    Repeat,
+)
 from skyproof.results.statistics.intervals import (
     Sample,
     cluster_interval,
@@ -176,10 +184,10 @@ def test_repeats_by_hand(sample, rng):
         *(lost, lost, lost + 1, lost + 1, lost + 2, lost + 2), repeats=labels("T-U", SEEDS, 3, 2)
     )
     found = mean_interval(seeds, sample)
-    # Rates a sixth apart, and one that was expected 0.07 off: three of them, three degrees.
-    variance = (0.07**2 + 2 / 36) / 9
-    assert found.errors == alone.errors | {"seeds": pytest.approx(variance**0.5)}
-    margin = 3.182446 * variance**0.5
+    # Rates a sixth apart: three of them, two degrees, but never more than 1.96 of a single one.
+    assert found.errors == alone.errors | {"seeds": pytest.approx(1 / 6 / 3**0.5)}
+    margin = 1.959964 / 6
+    assert margin < 4.302653 / 6 / 3**0.5
     assert found.high - found.estimate == pytest.approx(
         math.hypot(alone.high - alone.estimate, margin)
     )
@@ -188,11 +196,51 @@ def test_repeats_by_hand(sample, rng):
     )
 
 
-def test_a_single_repeat_is_about_itself(sample, rng):
+def test_repeats_that_agree_do_not_pass_for_certain(sample, rng):
     lost = rng.integers(1, 4, TILES)
-    assert mean_interval(stack(lost, repeats=labels("T-U", SEEDS, 1)), sample) == mean_interval(
-        stack(lost), sample
+    alone = mean_interval(stack(lost), sample)
+    found = mean_interval(stack(lost, lost, lost, repeats=labels("T-U", SEEDS, 3)), sample)
+    margin = 3.182446 * SEEDS.usual_sd / 3**0.5
+    assert found.high - found.estimate == pytest.approx(
+        math.hypot(alone.high - alone.estimate, margin)
     )
+
+
+@pytest.mark.parametrize("kind", [SEEDS, DRAWS, SEARCHES, TRAININGS])
+def test_a_single_repeat_is_no_surer_than_three(kind, sample, rng):
+    """It is off by as much as the largest spread that was measured."""
+    lost = rng.integers(1, 4, TILES)
+    alone = mean_interval(stack(lost), sample)
+    found = mean_interval(stack(lost, repeats=labels("T-U", kind, 1)), sample)
+    assert found.high - found.estimate == pytest.approx(
+        math.hypot(alone.high - alone.estimate, 1.959964 * kind.largest_sd)
+    )
+    assert found.errors[kind.name] == kind.largest_sd
+    three = mean_interval(stack(lost, lost, lost + 1, repeats=labels("T-U", kind, 3)), sample)
+    assert three.high - three.low <= found.high - found.low + 0.01
+    given = mean_interval(stack(lost, repeats=labels("mine", GIVEN, 1)), sample)
+    assert given == alone
+
+
+def test_one_search_is_not_taken_as_known(sample, rng):
+    """Nor are several: what is due to optimisation must stand out from their spread."""
+    lost = rng.integers(0, 2, TILES)
+    learnt = stack(lost + 4, lost + 4, lost + 4, repeats=labels("T-U", SEEDS, 3))
+    known = difference_interval([learnt], [stack(lost)], sample)
+    one = difference_interval(
+        [learnt], [stack(lost, repeats=labels("R-U_search", SEARCHES, 1))], sample
+    )
+    five = difference_interval(
+        [learnt],
+        [stack(lost, lost + 1, lost, lost + 1, lost, repeats=labels("R-U_search", SEARCHES, 5))],
+        sample,
+    )
+    below = math.hypot(known.estimate - known.low, 1.959964 * SEARCHES.largest_sd)
+    assert one.estimate - one.low == pytest.approx(below)
+    assert one.errors["searches"] == SEARCHES.largest_sd
+    # Two of five a sixth higher: a standard deviation of 0.091, but pairs usually differ more.
+    assert five.errors["searches"] == pytest.approx(SEARCHES.usual_sd / 5**0.5)
+    assert one.low < five.low
 
 
 def test_a_difference_has_the_repeats_of_both_sides(sample, rng):
@@ -201,20 +249,18 @@ def test_a_difference_has_the_repeats_of_both_sides(sample, rng):
     other = stack(lost, lost - 2, repeats=labels("R-U", DRAWS, 2))
     plain = difference_interval([Group(own.counts, ANY)], [Group(other.counts, ANY)], sample)
     found = difference_interval([own], [other], sample)
-    seeds = (0.07**2 + 2 / 36) / 9
-    draws = (0.5**2 + 2 / 36) / 4
-    assert found.errors["seeds"] == pytest.approx(seeds**0.5)
-    assert found.errors["draws"] == pytest.approx(draws**0.5)
-    # Two draws say nothing at all: the control's mean may be anything from 0 to 1, and that of the
-    # attack, by 0.43 either way, at most 1.
+    assert found.errors["seeds"] == pytest.approx(1 / 6 / 3**0.5)
+    assert found.errors["draws"] == pytest.approx(2 / 6 / 2**0.5 / 2**0.5)
+    # Of the draws the mean may be anything from 0 on, and 1.96 times the largest standard
+    # deviation of a kind higher. That of the seeds may be 1.96 times theirs off, and at most 1.
     drawn = (lost.mean() - 1) / 6
     learnt = (lost.mean() + 2) / 6
-    assert 4.302653 * draws**0.5 > 1
+    of_seeds, of_draws = 1.959964 / 6, 1.959964 * DRAWS.largest_sd
     assert found.high - found.estimate == pytest.approx(
-        math.hypot(plain.high - plain.estimate, 1 - learnt, drawn)
+        math.hypot(plain.high - plain.estimate, min(of_seeds, 1 - learnt), min(of_draws, drawn))
     )
     assert found.estimate - found.low == pytest.approx(
-        math.hypot(plain.estimate - plain.low, 3.182446 * seeds**0.5, 1 - drawn)
+        math.hypot(plain.estimate - plain.low, of_seeds, min(of_draws, 1 - drawn))
     )
 
 
@@ -225,11 +271,12 @@ def test_what_repeats_share_is_paired(sample, rng):
     first = stack(lost, lost + 1, lost + 3, repeats=seeds)
     second = stack(lost + 1, lost + 2, lost + 4, repeats=seeds)
     paired = difference_interval([second], [first], sample)
-    assert paired.errors["seeds"] == pytest.approx(0.07 / 3)
+    assert paired.errors["seeds"] == pytest.approx(SEEDS.usual_sd / 3**0.5)
     draws = labels("R-U", DRAWS, 3)
     first, second = (Group(each.counts, ANY, draws) for each in (first, second))
     found = difference_interval([second], [first], sample)
-    assert found.errors["draws"] == paired.errors["seeds"]
+    # A draw acts much alike under two renderers.
+    assert found.errors["seeds"] == paired.errors["seeds"]
     first, second = (Group(each.counts, ANY, seeds) for each in (first, second))
     # The same shuffled is not the same.
     other = stack(lost + 4, lost + 2, lost + 1, repeats=seeds)
@@ -250,11 +297,10 @@ def test_trainings_by_hand(sample, rng):
     rates = (lost, lost + 1, lost + 2)
     plain = mean_interval(stack(*rates), sample)
     found = mean_interval(stack(*rates, repeats=trained((0, None), (1, None), (2, None))), sample)
-    # Rates a sixth apart, and a training that was expected 0.1 off: three of them, three degrees.
-    variance = (0.1**2 + 2 / 36) / 9
-    assert found.errors == plain.errors | {"trainings": pytest.approx(variance**0.5)}
+    # Rates a sixth apart, less than the largest standard deviation that was measured.
+    assert found.errors == plain.errors | {"trainings": pytest.approx(1 / 6 / 3**0.5)}
     assert found.high - found.estimate == pytest.approx(
-        math.hypot(plain.high - plain.estimate, 3.182446 * variance**0.5)
+        math.hypot(plain.high - plain.estimate, 1.959964 * TRAININGS.largest_sd)
     )
 
 
@@ -268,11 +314,9 @@ def test_draws_are_crossed_with_trainings(sample, rng):
     plain = mean_interval(Group(control.counts, ANY), sample)
     found = mean_interval(control, sample)
     # Draws lie two sixths apart and trainings one, each about a mean of two.
-    draws = (0.5**2 + 2 * (1 / 6) ** 2) / 4
-    trainings = (0.1**2 + 2 * (1 / 12) ** 2) / 4
     assert found.errors == plain.errors | {
-        "draws": pytest.approx(draws**0.5),
-        "trainings": pytest.approx(trainings**0.5),
+        "draws": pytest.approx(2 / 6 / 2),
+        "trainings": pytest.approx(1 / 6 / 2),
     }
 
 
@@ -282,21 +326,20 @@ def test_a_net_rate_is_paired_by_training(sample, rng):
     learnt = stack(lost + 2, lost + 3, lost + 4, repeats=trained((0, None), (1, None), (2, None)))
     control = stack(lost, lost + 1, lost + 2, repeats=trained((0, 0), (1, 0), (2, 0)))
     found = difference_interval([learnt], [control], sample)
-    assert found.errors["trainings"] == pytest.approx(0.1 / 3)
-    assert "draws" not in found.errors
+    assert found.errors["trainings"] == pytest.approx(TRAININGS.usual_sd / 3**0.5)
+    # A single draw.
+    assert found.errors["draws"] == DRAWS.largest_sd
     # The same trainings in another order lie far apart.
     other = stack(lost + 4, lost + 3, lost + 2, repeats=learnt.repeats)
     found = difference_interval([other], [control], sample)
-    variance = (0.1**2 + 2 * (2 / 6) ** 2) / 9
-    assert found.errors["trainings"] == pytest.approx(variance**0.5)
+    assert found.errors["trainings"] == pytest.approx(2 / 6 / 3**0.5)
 
 
 def test_one_group_may_have_repeats_and_another_none(sample, rng):
     lost = rng.integers(0, 2, TILES)
     seeds = stack(lost + 1, lost + 2, repeats=labels("T-U", SEEDS, 2))
     found = difference_interval([stack(lost)], [seeds], sample)
-    variance = (0.07**2 + 2 * (1 / 12) ** 2) / 4
-    assert found.errors["seeds"] == pytest.approx(variance**0.5)
+    assert found.errors["seeds"] == pytest.approx(1 / 6 / 2)
 
 
 def test_vehicles_that_fare_alike_on_every_tile_widen_the_interval(rng):

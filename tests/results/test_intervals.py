@@ -16,7 +16,7 @@ from skyproof.results.statistics.intervals import (
     resample,
     superiority_interval,
 )
-from tests.results.simulated import WORLDS, coverage
+from tests.results.simulated import STARTS, WORLDS, coverage
 
 
 def easr(counts):
@@ -46,6 +46,13 @@ RUNS = 800
 def unchecked(monkeypatch):
     """Every other test checks shapes; here it would take most of the time."""
     monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("name", STARTS)
+def test_one_start_or_several_hold_the_truth(name):
+    held, _ = coverage(STARTS[name], runs=100, seed=3)
+    assert held >= 0.93
 
 
 @pytest.mark.slow

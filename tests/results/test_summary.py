@@ -10,7 +10,7 @@ import pytest
 from skyproof.results import result
 from skyproof.results.outcomes import Outcome
 from skyproof.results.score_folder import SetScore
-from skyproof.results.statistics.contrasts import mcnemar_p
+from skyproof.results.statistics.contrasts import DRAWS, SEEDS, mcnemar_p
 from tests.results.counted import count_outcomes
 
 REQUIRED = [
@@ -247,10 +247,10 @@ def test_a_row_says_what_its_intervals_are_made_of(rng):
     ]
     made = summarise(count_outcomes(found), [], generator=rng)
     rows = {row["camouflage"]: row for row in made}
-    # Two seeds, 0.7 and 0.5, beside one that was expected 0.07 off: (0.07² + 2 · 0.1²) / 4.
-    assert rows["T-U"]["easr_repeat_se"] == pytest.approx((0.0249 / 4) ** 0.5)
-    # Two draws, 0.1 and 0.05, beside one that was expected 0.5 off.
-    draws = (0.5**2 + 2 * 0.025**2) ** 0.5 / 2
+    # Two seeds, 0.7 and 0.5.
+    assert rows["T-U"]["easr_repeat_se"] == pytest.approx(0.1)
+    # Two draws, 0.1 and 0.05, are nearer than draws usually are.
+    draws = DRAWS.usual_sd / 2**0.5
     assert rows["T-U"]["random_draw_se"] == rows["R-U"]["easr_repeat_se"] == pytest.approx(draws)
     assert rows["R-U"]["random_draw_se"] is None
     assert rows["T-U"]["easr_tile_se"] > 0.1
@@ -262,7 +262,8 @@ def test_a_row_says_what_its_intervals_are_made_of(rng):
     assert made[0]["easr_vehicle_se"] == pytest.approx(0, abs=1e-9)
     found = [each for each in found if not each.camouflage.endswith("1")]
     alone = summarise(count_outcomes(found), [], generator=rng)[0]
-    assert alone["easr_repeat_se"] is alone["random_draw_se"] is None
+    assert alone["easr_repeat_se"] == SEEDS.largest_sd
+    assert alone["random_draw_se"] == DRAWS.largest_sd
 
 
 def test_both_matches_and_the_keys(rows):
@@ -276,12 +277,13 @@ def test_both_matches_and_the_keys(rows):
 def test_a_net_interval_is_no_surer_than_its_unanimous_part(rng):
     # Every vehicle is hidden on all 20 tiles: resampling sees no spread, the exact limit is 1 -
     # 0.025 ** (1 / 20).
-    found = outcomes("T-U", "retinanet", [(1, 0)] * 40)
+    # A camouflage of the user's has no seed.
+    found = outcomes("mine-U", "retinanet", [(1, 0)] * 40)
     found += outcomes("R-U-0", "retinanet", [(1, 0), (1, 1), (1, 1), (1, 1)] * 10)
     row = next(
         row
         for row in summarise(count_outcomes(found), [], generator=rng)
-        if row["camouflage"] == "T-U"
+        if row["camouflage"] == "mine-U"
     )
     margin = 1 - 0.025 ** (1 / 20)
     assert row["easr_low"] == pytest.approx(1 - margin)
@@ -291,8 +293,8 @@ def test_a_net_interval_is_no_surer_than_its_unanimous_part(rng):
 
 def test_a_mean_is_no_surer_than_a_unanimous_part(rng):
     # One detector loses everything on all 20 tiles, the other all but one vehicle.
-    found = outcomes("T-U", "retinanet", [(1, 0)] * 40) + outcomes(
-        "T-U", "yolov5", [(1, 0)] * 39 + [(1, 1)]
+    found = outcomes("mine-U", "retinanet", [(1, 0)] * 40) + outcomes(
+        "mine-U", "yolov5", [(1, 0)] * 39 + [(1, 1)]
     )
     rows = {row["detector"]: row for row in summarise(count_outcomes(found), [], generator=rng)}
     margins = [rows[name]["easr"] - rows[name]["easr_low"] for name in ("retinanet", "yolov5")]

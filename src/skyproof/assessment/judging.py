@@ -23,7 +23,7 @@ from skyproof.cycles.settings import Rendering
 from skyproof.errors import ImageryError
 from skyproof.files import write_json
 from skyproof.results.precheck import PrecheckRecord, findings, read_precheck, worst
-from skyproof.results.statistics.acceptance import Requirement, fewest_tiles
+from skyproof.results.statistics.acceptance import USUAL_IN_SCENE, Requirement, fewest_tiles
 from skyproof.results.statistics.planning import tiles_to_show
 from skyproof.scenes.scene import read_scenes
 from skyproof.words import detector_name, percent
@@ -35,7 +35,8 @@ def refuse_few_tiles(said: str, tiles: int, requirement: Requirement, scenes: in
     if tiles < needed:
         raise ImageryError(
             f"{said}, and on fewer than {needed} no detector can be accepted at "
-            f"{percent(requirement.reject)} with these risks, not even one that loses nothing; "
+            f"{percent(requirement.reject)} with these risks, not even one that loses none "
+            f"of {USUAL_IN_SCENE:g} vehicles a scene; "
             f"give imagery with about {tiles_to_show(needed, scenes):,} test tiles that have "
             "drivable ground, or leave out --accept and --reject."
         )

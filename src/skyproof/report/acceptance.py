@@ -7,19 +7,17 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
 from markupsafe import Markup
 from msgspec import Struct
 
 import skyproof
-from skyproof.camouflage.name import CamouflageName
 from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError
 from skyproof.files import file_digest, write_json
 from skyproof.layout import Layout
 from skyproof.report.figures import chances_figure
+from skyproof.report.tiles import attack_tiles, paint_tiles
 from skyproof.results.likeness import Likeness
-from skyproof.results.outcomes import OutcomeCounts
 from skyproof.results.precheck import findings, worst
 from skyproof.results.result import MAIN_MATCH
 from skyproof.results.results import RENDERER, Results
@@ -33,7 +31,6 @@ from skyproof.words import (
     interval,
     listed,
     percent,
-    renderer_name,
 )
 
 _REMEDY = "move it away, or report again with --accept and --reject"
@@ -122,7 +119,8 @@ def _ruled(name: str, results: Results, requirement: Requirement) -> Ruling:
     precheck = results.prechecks.get(name)
     found = [] if precheck is None else findings(precheck)
     failed = [each for each in found if each.outcome == "failed"]
-    attacks = _attacks(results.counts, name)
+    scenes = results.test_scenes
+    attacks = attack_tiles(results.counts, name, scenes)
     likeness = results.likeness_of(name)
     if likeness is not None and likeness.judges_nobody:
         return _not_valid(likeness)
@@ -138,11 +136,10 @@ def _ruled(name: str, results: Results, requirement: Requirement) -> Ruling:
     rendered = worst([finding for baseline, finding in of_sets if not baseline.real])
     if rendered in failed:
         return _no_verdict(name, f"it failed the precheck: {rendered.words}")
-    scenes = results.test_scenes
     here = not scenes or precheck.was_made_on(scenes)
     tried = precheck.paints_tried if here else 0
     if attacks or tried:
-        paints = precheck.failed_paints() if tried else {}
+        paints = paint_tiles(precheck, scenes) if tried else {}
         decision = decide(attacks, requirement, paints, paints_tried=tried)
         if decision.answer == "rejected" or not failed:
             return _ruling(name, decision, results, requirement)
@@ -248,25 +245,6 @@ def _likeness(results: Results, detector: str) -> dict[str, Any]:
     return {"likeness": rows} if rows else {}
 
 
-def _attacks(tiles: OutcomeCounts, detector: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Gives found and lost vehicles per tile, by camouflage and renderer."""
-    names, place = np.unique([tile for tile, _ in tiles.cells], return_inverse=True)
-    attacks = {}
-    for key, counts in tiles.series.items():
-        camouflage = CamouflageName.read(key.camouflage)
-        single_draw = camouflage.random and not camouflage.choice
-        other = (key.detector, key.match) != (detector, MAIN_MATCH)
-        if other or single_draw or camouflage.kept_copy:
-            continue
-        by_tile = np.zeros((len(names), 4), dtype=np.int64)
-        np.add.at(by_tile, place, counts)
-        shown = key.camouflage
-        if key.renderer != RENDERER:
-            shown += f" on {renderer_name(key.renderer)}"
-        attacks[shown] = (by_tile[:, 1] + by_tile[:, 2], by_tile[:, 2])
-    return attacks
-
-
 def _ruling(name: str, decision: Decision, results: Results, requirement: Requirement) -> Ruling:
     attacks = dict(sorted(decision.attacks.items(), key=lambda item: -item[1].share))
     shown = detector_name(name)
@@ -315,7 +293,7 @@ def _worst_attack(attacks: Mapping[str, Evidence]) -> str:
 
 def _lost(said: Evidence) -> str:
     return (
-        f"{percent(said.share)} of the vehicles found before (mean of the tiles, bounds "
+        f"{percent(said.share)} of the vehicles found before (bounds "
         f"{interval(said.at_least, said.at_most)})"
     )
 

@@ -50,7 +50,7 @@ def answer(rows: Sequence[Result], lenient: Result | None = None) -> list[str]:
     sentences += _beside_controls(row)
     if lenient is not None:
         sentences.append(_leniently(row, lenient))
-    return [*sentences, *_left_out(row)]
+    return [*sentences, *_shown_once(row)]
 
 
 def _leniently(row: Result, lenient: Result) -> str:
@@ -144,16 +144,19 @@ def _how(control: CamouflageName) -> str:
     return " and ".join(part for part in (paint, even) if part)
 
 
-def _left_out(row: Result) -> list[str]:
-    """Names each source of variation that the intervals do not cover."""
+def _shown_once(row: Result) -> list[str]:
+    """Names each source of variation of which the test shows one."""
     sentences = []
     if "vehicles" not in row.easr.errors and "tiles" in row.easr.errors:
         sentences.append("One vehicle was tested, so the interval does not cover other vehicles.")
-    if row.repeats == 1:
-        sentences.append("One attack was run, so the interval does not cover other seeds.")
+    if row.repeats == 1 and row.camouflage.kind != "other":
+        sentences.append(
+            "One attack was run, so the interval allows for the largest spread of seeds measured."
+        )
     if row.random is not None and row.random.draws == 1:
         sentences.append(
-            "One random pattern was drawn, so the net interval does not cover other draws."
+            "One random pattern was drawn, so the net interval allows for the largest spread of "
+            "draws measured."
         )
     return sentences
 

@@ -179,7 +179,7 @@ def _alone(rows: Sequence[Mapping[str, Any]]) -> str:
         return ""
     return (
         f"{ALONE} Cycles has one repeat or draw alone, where the renderer has several: the "
-        "interval there says nothing of other starts and draws."
+        "interval there allows for other starts and draws by the largest spread measured."
     )
 
 

@@ -36,6 +36,7 @@ from skyproof.results.results import RENDERER, Results
 from skyproof.results.score_folder import ScoreFolder, merge_scores
 from skyproof.results.statistics.contrasts import (
     DRAWS,
+    SEEDS,
     TRAININGS,
     Group,
     Repeat,
@@ -192,7 +193,7 @@ class _Trainings:
         for training in self.each:
             for camouflage in camouflages:
                 own = repeat_of(camouflage)
-                crossed = [own] if own.kind == DRAWS else []
+                crossed = [own] if own.kind != SEEDS else []
                 for detector in detectors:
                     stack.append(training.counts[camouflage, detector][:, 1:])
                     again = Repeat("detectors", str(training.number), TRAININGS)

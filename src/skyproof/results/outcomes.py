@@ -22,7 +22,14 @@ from skyproof.documents import in_words
 from skyproof.errors import StoredFileError
 from skyproof.files import write_beside
 from skyproof.ranges import Fraction, Match, Metres, Name, WholeNumber, limits_of
-from skyproof.results.statistics.contrasts import DRAWS, SEEDS, Group, Repeat
+from skyproof.results.statistics.contrasts import (
+    DRAWS,
+    GIVEN,
+    SEARCHES,
+    SEEDS,
+    Group,
+    Repeat,
+)
 from skyproof.results.statistics.intervals import Sample
 
 MATCHES: tuple[Match, ...] = get_args(Match)
@@ -232,7 +239,12 @@ class OutcomeCounts:
 def repeat_of(camouflage: str) -> Repeat:
     """Says by its name which repeat of what a camouflage is: "R-U-1" is a draw of "R-U"."""
     name = CamouflageName.read(camouflage)
-    return Repeat(str(name.pooled), name.repeat, DRAWS if name.random else SEEDS)
+    kind = DRAWS if name.random else SEEDS
+    if name.choice is not None:
+        kind = GIVEN if name.choice == "plain" else SEARCHES
+    elif name.kind == "other" and not name.repeat:
+        kind = GIVEN
+    return Repeat(str(name.pooled), name.repeat, kind)
 
 
 def read_counts(path: Path, thresholds: Mapping[str, float] | None = None) -> OutcomeCounts:

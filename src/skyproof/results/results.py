@@ -355,7 +355,8 @@ class Results:
     def _group(self, camouflage: str) -> Group | None:
         keys = [Series(camouflage, RENDERER, detector, MAIN_MATCH) for detector in self.detectors]
         known = all(key in self.counts.series for key in keys)
-        return self.counts.group(keys, self.sample) if known else None
+        # What is asked is what this one hides, not what another start would.
+        return replace(self.counts.group(keys, self.sample), repeats=()) if known else None
 
 
 def _merged_baselines(

@@ -2,43 +2,75 @@
 
 A requirement is stated as in compliance tests for success ratios (IEC 61123): two shares and the
 two risks of a wrong answer. IEC's plans assume independent trials, but vehicles of one tile are
-dependent. Here tiles are the trials, each with the share of its found vehicles that is lost. The
-evidence against a share is the capital of a gambler who starts with 1 and bets tile by tile that
-the mean of the tiles is smaller (or larger), at odds that are fair or worse if it is not. By
-Ville's inequality the chance that the capital ever reaches 1/risk is at most the risk, at any
-number of looks and any stopping time (Waudby-Smith and Ramdas, "Estimating means of bounded random
-variables by betting", 2024). The 1 is divided evenly over fixed bets, so the order of the tiles
-does not matter.
+dependent. Here tiles are the trials. The evidence for a share below a limit is the capital of a
+gambler who starts with 1 and wins or loses limit × found − lost vehicles on each tile, times a
+stake. That is 0 or less on average unless a smaller share of the vehicles is lost. By Ville's
+inequality the chance that the capital ever reaches 1/risk is at most the risk, at any number of
+looks and any stopping time (Waudby-Smith and Ramdas, "Estimating means of bounded random variables
+by betting", 2024). The 1 is divided evenly over fixed stakes, so the order of the tiles does not
+matter.
+
+No tile may cost all capital, so a stake is limited by the vehicles that the tile's scenes could
+show, not by those they do show: smaller stakes on crowded scenes would make it a bet on the mean of
+the tiles. The number of scenes on a tile is drawn without a look at its ground, so it tells nothing
+of the share that is lost there.
 """
 
 import math
 from bisect import bisect_left
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 from typing import Annotated, Literal
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Num
 from msgspec import Meta
 
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import Risk, check_ranges
+from skyproof.scenes.settings import SceneSettings
 
 Answer = Literal["accepted", "rejected", "undecided"]
 
-# Shares of the largest safe bet: more of them large, which decide soonest (measured on simulated
-# tests of ten requirements).
-_BETS = 1 - (1 - (np.arange(48) + 0.5) / 48) ** 2
-# Where next to nothing can be lost any bet is safe, and it stays finite.
+# Shares of the largest stake that is safe on the tile with the fewest scenes: more of them large,
+# which decide soonest (measured on simulated tests of ten requirements).
+_STAKES = 1 - (1 - (np.arange(48) + 0.5) / 48) ** 2
+# Capital that a tile may cost: all of it would end the game.
+_MOST_COST = 0.98
+# Where next to nothing can be lost any stake is safe, and it stays finite.
 _LEAST_LOSS = 0.05
 _MOST_TILES = 10**7
 # Part of the producer's risk that the plain paints of a precheck share; the attacks have the rest.
 _RISK_OF_PAINTS = 0.2
 
-# The tiles of a precheck are fewer than those of the attacks.
-Counted = Mapping[str, tuple[Int[np.ndarray, " _C"], Int[np.ndarray, " _C"]]]
-"""Vehicles found before and lost per tile, by attack or by paint."""
+_SCENE = SceneSettings()
+MOST_IN_SCENE = _SCENE.vehicles_maximum
+"""Vehicles in a scene of the usual settings, at most."""
+USUAL_IN_SCENE = (_SCENE.vehicles_minimum + MOST_IN_SCENE) / 2
+"""The same on average."""
+
+
+@dataclass(frozen=True)
+class Tiles:
+    """Vehicles found before and lost per tile, of `scenes` scenes with at most `most` vehicles.
+
+    Neither the number of scenes nor `most` may depend on the ground or on the detector.
+    """
+
+    scenes: Num[np.ndarray, "*runs C"]
+    found: Num[np.ndarray, "*runs C"]
+    lost: Num[np.ndarray, "*runs C"]
+    most: int = MOST_IN_SCENE
+
+    @property
+    def share(self) -> float:
+        """The share of the found vehicles that is lost."""
+        return float(self.lost.sum() / self.found.sum())
+
+
+Counted = Mapping[str, Tiles]
+"""The tiles by attack or by paint; those of a precheck are fewer."""
 
 
 @dataclass(frozen=True)
@@ -81,8 +113,7 @@ def requirement_of(
 class Evidence:
     """The evidence of one attack, for a share below `reject` and above `accept`.
 
-    `share` is the mean share lost over tiles, which differs from lost / found if crowded tiles do,
-    with its bounds at the producer's and the consumer's risk.
+    `share` is lost / found, with its bounds at the producer's and the consumer's risk.
     """
 
     found: int
@@ -119,7 +150,7 @@ def decide(
     *,
     paints_tried: int = 0,
 ) -> Decision:
-    """Decides from vehicles found before and lost per tile, by attack; tiles without any pass.
+    """Decides from vehicles found before and lost per tile, by attack.
 
     Without attacks, as before they were made, `paints` of the precheck may reject: those that may
     matter of all that were tried.
@@ -127,7 +158,7 @@ def decide(
     paints = paints or {}
     every = {**attacks, **paints}
     nothing = not attacks and not paints_tried
-    if nothing or not all(int(found.sum()) for found, _ in every.values()):
+    if nothing or not all(tiles.found.sum() for tiles in every.values()):
         raise ConfigurationError(
             "A verdict expects at least one attack and vehicles that are found without it, got "
             "none; look at the detector's precheck first."
@@ -142,73 +173,61 @@ def _rejecting_paint(
 ) -> tuple[str, Evidence] | None:
     """Gives the paint with most evidence for rejection, if that is enough."""
     part = _RISK_OF_PAINTS / tried
-    shares = {name: _shares(*counted) for name, counted in paints.items()}
-    against = {name: float(evidence_above(s, requirement.accept)) for name, s in shares.items()}
-    name = max(against, key=lambda each: (against[each], shares[each].mean()))
+    accept = requirement.accept
+    against = {name: float(evidence_above(tiles, accept)) for name, tiles in paints.items()}
+    name = max(against, key=lambda each: (against[each], paints[each].share))
     if against[name] < 1 / (part * requirement.producer_risk):
         return None
-    return name, _evidence(*paints[name], requirement, part)
+    return name, _evidence(paints[name], requirement, part)
 
 
 def _by_attacks(attacks: Counted, requirement: Requirement, part: float) -> Decision:
     """Decides with a part of the producer's risk."""
     if not attacks:
         return Decision("undecided", None, {})
-    shares = {name: _shares(*counted) for name, counted in attacks.items()}
     logarithms = {
-        name: (_below(each, requirement.reject), _below(1 - each, 1 - requirement.accept))
-        for name, each in shares.items()
+        name: (_below(each, requirement.reject), _below(_kept(each), 1 - requirement.accept))
+        for name, each in attacks.items()
     }
-    tiles = max(len(each) for each in shares.values())
-    said = {name: _evidence(*counted, requirement) for name, counted in attacks.items()}
+    tiles = max(len(each.found) for each in attacks.values())
+    said = {name: _evidence(each, requirement) for name, each in attacks.items()}
     limits = (1 / requirement.consumer_risk, 1 / (part * requirement.producer_risk))
     answer = _answer(logarithms, limits, 1.0)
     more = _more_tiles(logarithms, limits, tiles) if answer == "undecided" else 0
     return Decision(answer, more, said)
 
 
-def _shares(
-    found: Int[np.ndarray, " C"], lost: Int[np.ndarray, " C"]
-) -> Float[np.ndarray, " _found"]:
-    return np.asarray(lost[found > 0] / found[found > 0])
-
-
-def _evidence(
-    found: Int[np.ndarray, " C"],
-    lost: Int[np.ndarray, " C"],
-    requirement: Requirement,
-    part: float = 1.0,
-) -> Evidence:
+def _evidence(tiles: Tiles, requirement: Requirement, part: float = 1.0) -> Evidence:
     """Gives the evidence of one attack, with bounds at a part of the risks."""
-    shares = _shares(found, lost)
     return Evidence(
-        found=int(found.sum()),
-        lost=int(lost.sum()),
-        share=float(shares.mean()),
-        at_least=_bound(shares, part * requirement.producer_risk, below=False),
-        at_most=_bound(shares, part * requirement.consumer_risk, below=True),
-        for_acceptance=float(evidence_below(shares, requirement.reject)),
-        for_rejection=float(evidence_above(shares, requirement.accept)),
+        found=int(tiles.found.sum()),
+        lost=int(tiles.lost.sum()),
+        share=tiles.share,
+        at_least=_bound(tiles, part * requirement.producer_risk, below=False),
+        at_most=_bound(tiles, part * requirement.consumer_risk, below=True),
+        for_acceptance=float(evidence_below(tiles, requirement.reject)),
+        for_rejection=float(evidence_above(tiles, requirement.accept)),
     )
 
 
-def evidence_below(
-    shares: Float[np.ndarray, "*runs C"], limit: float
-) -> Float[np.ndarray, "*runs"]:
-    """Gives the evidence for a mean share below a limit in (0, 1], from independent tiles."""
-    return _mean(_below(shares, limit))
+def evidence_below(tiles: Tiles, limit: float) -> Float[np.ndarray, "*runs"]:
+    """Gives the evidence for a share below a limit in (0, 1], from independent tiles."""
+    return _mean(_below(tiles, limit))
 
 
-def evidence_above(
-    shares: Float[np.ndarray, "*runs C"], limit: float
-) -> Float[np.ndarray, "*runs"]:
-    """Gives the evidence for a mean share above a limit in [0, 1)."""
-    return evidence_below(1 - shares, 1 - limit)
+def evidence_above(tiles: Tiles, limit: float) -> Float[np.ndarray, "*runs"]:
+    """Gives the evidence for a share above a limit in [0, 1)."""
+    return evidence_below(_kept(tiles), 1 - limit)
+
+
+def _kept(tiles: Tiles) -> Tiles:
+    """Counts vehicles that are found before and after as lost."""
+    return replace(tiles, lost=tiles.found - tiles.lost)
 
 
 def fewest_tiles(reject: float, consumer_risk: float) -> int:
-    """Gives the fewest tiles on which a detector can be accepted: one that loses nothing there."""
-    one = _below(np.zeros(1), reject)
+    """Gives the fewest tiles of usual scenes that accept a detector: one that loses nothing."""
+    one = _below(Tiles(np.ones(1), np.full(1, USUAL_IN_SCENE), np.zeros(1)), reject)
 
     def suffice(tiles: int) -> bool:
         return bool(_mean(tiles * one) >= 1 / consumer_risk)
@@ -217,10 +236,19 @@ def fewest_tiles(reject: float, consumer_risk: float) -> int:
     return bisect_left(range(enough), True, lo=enough // 2, key=suffice)
 
 
-def _below(shares: Float[np.ndarray, "*runs C"], limit: float) -> Float[np.ndarray, "*runs bets"]:
-    """Gives the logarithm of the capital under each bet, a fixed part of the largest safe one."""
-    stakes = _BETS / max(1 - limit, _LEAST_LOSS)
-    return np.stack([np.log1p(stake * (limit - shares)).sum(axis=-1) for stake in stakes], axis=-1)
+def _below(tiles: Tiles, limit: float) -> Float[np.ndarray, "*runs bets"]:
+    """Gives the logarithm of the capital under each stake.
+
+    A stake is the same for every vehicle, except on tiles with so many scenes that they might cost
+    all capital.
+    """
+    room = tiles.scenes * tiles.most
+    won = (limit * tiles.found - tiles.lost) / (max(1 - limit, _LEAST_LOSS) * room)
+    larger = room / room.min(axis=-1, keepdims=True)
+    capitals = [
+        np.log1p(np.minimum(stake * larger, _MOST_COST) * won).sum(axis=-1) for stake in _STAKES
+    ]
+    return np.stack(capitals, axis=-1)
 
 
 def _mean(logarithms: Float[np.ndarray, "*runs bets"]) -> Float[np.ndarray, "*runs"]:
@@ -263,10 +291,11 @@ def _more_tiles(
     return max(math.ceil((enough - 1) * tiles), 1)
 
 
-def _bound(shares: Float[np.ndarray, " C"], risk: float, *, below: bool) -> float:
-    """Gives the last limit that the evidence does not exclude, in thousandths."""
+def _bound(tiles: Tiles, risk: float, *, below: bool) -> float:
+    """Gives the last limit that the evidence does not exclude, in thousandths, or the share."""
     evidence = evidence_below if below else evidence_above
     limits = np.arange(1, 1001) / 1000 if below else np.arange(999, -1, -1) / 1000
     # The evidence grows along the limits.
-    left = bisect_left(limits, 1 / risk, key=lambda limit: float(evidence(shares, float(limit))))
-    return float(limits[left - 1]) if left else float(shares.mean())
+    left = bisect_left(limits, 1 / risk, key=lambda limit: float(evidence(tiles, float(limit))))
+    bound = float(limits[left - 1]) if left else tiles.share
+    return max(bound, tiles.share) if below else min(bound, tiles.share)

@@ -22,8 +22,8 @@ from skyproof.results.statistics.intervals import (
     resampled,
 )
 
-_EXACT_TILES = 12
-_FLIPS = 10_000
+# Tiles' sums are rounded down to this part of the largest that counts.
+_STEPS = 4096
 
 RateFunction = Callable[[np.ndarray], np.ndarray]
 """From summed counts `[..., S, 3]` to rates `[..., S]`; nan where undefined."""
@@ -31,29 +31,36 @@ RateFunction = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class RepeatKind:
-    """A kind of repeat; the expected standard deviation of its rates and of paired differences."""
+    """A kind of repeat, with the standard deviations of its rates that were measured.
+
+    `usual_sd` is the root mean square and `largest_sd` the largest, over the tables of
+    docs/results. Differences of the same repeats, such as two renderers show, have those of
+    `paired`, where that is another kind.
+    """
 
     name: str
     usual_sd: float
-    paired_sd: float
+    largest_sd: float
+    paired: RepeatKind | None = None
 
 
-SEEDS = RepeatKind("seeds", 0.07, 0.07)
-"""Seeds of an attack. Three seeds each had a standard deviation of 0.11 for S-O, and of 0.01 at
-most for textures (quick preset of 2026-11-21). With 0.05 three simulated seeds of standard
-deviation 0.1 held the truth in 92 % of runs at worst, with 0.07 in 96 %."""
+SEEDS = RepeatKind("seeds", 0.034, 0.12)
+"""Seeds of an attack (quick)."""
 
-DRAWS = RepeatKind("draws", 0.5, SEEDS.usual_sd)
-"""Draws of a random control: the largest standard deviation of a rate between 0 and 1. Controls of
-few colours come near it: three draws of R-Lc hid 5, 27 and 91 %, R-PixLc −1, 35 and 92 %. A draw
-acts much alike under two renderers, so their differences have the standard deviation of seeds."""
+DRAWS = RepeatKind("draws", 0.09, 0.25, SEEDS)
+"""Draws of a random control, the most for detectors of photographs (quick, ranges of ten). A draw
+acts much alike under two renderers."""
 
-TRAININGS = RepeatKind("trainings", 0.1, 0.1)
-"""Trainings of the detectors, each with attacks from another seed. Measured were 0.002 to 0.11
-for means over three detectors, and up to 0.19 for a single one (docs/results/trainings). Three
-simulated trainings of standard deviation 0.15 held the truth in 93 % of runs at worst, with 0.07 in
-91 %. An attack and a control on one training are paired, but need not fare alike, so their
-difference has the same standard deviation."""
+SEARCHES = RepeatKind("searches", 0.14, 0.2, SEEDS)
+"""Starts of the search for a chosen control. Pairs of R-Fc, R-PixFc and R-Pix differed by 4, 39 and
+28 points, and by 19 in the root mean square over four budgets (docs/attacks.md, commit 37a385d)."""
+
+TRAININGS = RepeatKind("trainings", 0.057, 0.19)
+"""Trainings of the detectors, each with attacks from another seed (trainings). An attack and a
+control on one training are paired, but need not fare alike."""
+
+GIVEN = RepeatKind("given", 0.0, 0.0)
+"""What would be the same again: a choice among all plain paints, or a camouflage of the user's."""
 
 
 @dataclass(frozen=True)
@@ -74,15 +81,15 @@ def spread_of_repeats(
 
     It is the variance by kind of repeat, and the distances of the lower and the upper 95 % limit.
 
-    Per thing repeated, R repeats have the variance (σ² + Σ (x − mean)²) / R of one of them, with R
-    degrees of freedom: the expected repeat, σ off the mean, and those seen. So few repeats that
-    happen to agree do not pass for certain. A single repeat adds nothing: then the interval applies
-    to this seed, draw or training alone.
+    Per thing repeated, R repeats of standard deviation s reach t · s / √R, with Student's quantile
+    of R − 1 degrees of freedom. Few repeats that happen to agree do not pass for certain: they
+    reach at least as far as the usual standard deviation of the kind with R degrees. A single
+    repeat reaches 1.96 times the largest one that was measured, and several never more, unless
+    they differ more themselves.
 
-    Half-widths are Student's; those of several things are squared and added. None reaches beyond
-    the range of a mean of repeats: from 0 to 1, or to a repeat that lies beyond. A series may be a
-    repeat of several things: a control on the second of three trainings is one of its draws and one
-    of the trainings.
+    The distances of several things are squared and added. None reaches beyond the range of a mean
+    of repeats: from 0 to 1, or to a repeat that lies beyond. A series may be a repeat of several
+    things: a control on the second of three trainings is one of its draws and one of the trainings.
     """
     variances: dict[str, float] = {}
     margins: list[tuple[float, float]] = []
@@ -93,8 +100,6 @@ def spread_of_repeats(
     for places in every.values():
         numbers = list(dict.fromkeys(repeat.number for repeat in places.values()))
         count = len(numbers)
-        if count < 2:
-            continue
         sums = np.zeros(count)
         weights = np.zeros((2, count))
         for place, repeat in places.items():
@@ -103,12 +108,20 @@ def spread_of_repeats(
             weights[int(factors[place] < 0), at] += abs(factors[place])
         kind = next(iter(places.values())).kind
         paired = bool(weights.min() > 0)
-        usual = kind.paired_sd if paired else kind.usual_sd
+        kind = (kind.paired or kind) if paired else kind
+        if count == 1 and not kind.largest_sd:
+            continue
         scale = float(weights.sum(axis=1).max())
-        squares = float(np.sum((sums - sums.mean()) ** 2))
-        variance = ((usual * scale) ** 2 + squares) / count**2
+        seen = float(sums.std(ddof=1)) if count > 1 else 0.0
+        usual = scale * (kind.usual_sd if count > 1 else kind.largest_sd)
+        variance = max(seen, usual) ** 2 / count
         variances[kind.name] = variances.get(kind.name, 0.0) + variance
-        margin = math.sqrt(variance) * float(special.stdtrit(count, 1 - TAIL))
+        single = float(special.ndtri(1 - TAIL)) * max(seen, scale * kind.largest_sd)
+        margin = single
+        if count > 1:
+            apart = float(special.stdtrit(count - 1, 1 - TAIL)) * seen
+            expected = float(special.stdtrit(count, 1 - TAIL)) * usual
+            margin = min(max(apart, expected) / math.sqrt(count), single)
         if paired:
             margins.append((margin, margin))
             continue
@@ -349,29 +362,35 @@ def control_p(
     """Gives the largest p of optimised camouflages against draws of their control, in all pairs.
 
     The hypothesis is that chance decides on each tile which of the two hides more. So optimised and
-    drawn are swapped tile by tile: in all ways for up to 12 tiles on which they differ, else in
-    10,000 random ones, the same in every call. p is the share of swaps, the observed one included,
+    drawn are swapped tile by tile in all ways. p is the share of swaps, the observed one included,
     after which the sums differ by as much, in either direction. It is 1 unless the optimised one
     hides more in every pair. Tiles count as independent. Given are vehicles lost minus vehicles
     gained per tile, summed over detectors, each divided by the vehicles that it found before.
     """
     differences = (optimised[:, None] - drawn[None]).reshape(-1, optimised.shape[1])
-    sums = differences.sum(axis=1)
     # Sums of fractions that are equal may differ by rounding.
     slack = 1e-9 * max(float(np.abs(differences).sum(axis=1).max()), 1e-300)
-    if not sums.min() > slack:
+    if not differences.sum(axis=1).min() > slack:
         return 1.0
-    telling = differences[:, np.any(np.abs(differences) > slack, axis=0)]
-    tiles = telling.shape[1]
-    if tiles <= _EXACT_TILES:
-        signs = 1.0 - 2.0 * ((np.arange(2**tiles)[:, None] >> np.arange(tiles)) & 1)
-        observed = 0
-    else:
-        signs = 1.0 - 2.0 * np.random.default_rng(0).integers(0, 2, (_FLIPS, tiles))
-        observed = 1
-    swapped = np.abs(signs @ telling.T)
-    as_far = (swapped >= np.abs(sums) - slack).sum(axis=0) + observed
-    return float(as_far.max() / (len(signs) + observed))
+    return min(1.0, max(_swapped_p(each, slack) for each in differences))
+
+
+def _swapped_p(differences: Float[np.ndarray, " C"], slack: float) -> float:
+    """Gives the share of all swaps after which a sum is as far from 0.
+
+    Tiles of sum `room` or less may be turned against the others. Their sums are counted on a grid,
+    rounded down, so p comes out too large by a few percent of itself at most.
+    """
+    sizes = np.abs(differences)
+    room = (float(sizes.sum()) - float(differences.sum())) / 2 + slack
+    steps = np.minimum(sizes * (_STEPS / room), _STEPS + 1).astype(np.int64)
+    shares = np.zeros(_STEPS + 1)
+    shares[0] = 1.0
+    for step in steps:
+        turned = shares[: _STEPS + 1 - step].copy()
+        shares[step:] += turned
+        shares /= 2
+    return 2 * float(shares.sum())
 
 
 def holm(p_values: Sequence[float]) -> list[float]:

@@ -9,7 +9,14 @@ from jaxtyping import Float, Int
 from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
 from skyproof.results.outcomes import OutcomeCounts
-from skyproof.results.statistics.acceptance import Requirement, evidence_above, evidence_below
+from skyproof.results.statistics.acceptance import (
+    MOST_IN_SCENE,
+    USUAL_IN_SCENE,
+    Requirement,
+    Tiles,
+    evidence_above,
+    evidence_below,
+)
 from skyproof.results.statistics.intervals import Sample, effective_limits, unanimous_margin
 
 _MOST_TILES = 10**9
@@ -165,9 +172,9 @@ def chances_on_tiles(
 ) -> DecisionChances:
     """Simulates the operating characteristic of a test with one attack.
 
-    Tiles show 1 vehicle or more by a Poisson distribution, and each is found before by chance. A
-    tile without a found vehicle is passed over. The rates of tiles have a beta distribution with
-    the correlation of the design effect.
+    Tiles show one scene or more by a Poisson distribution, and these 1 to 5 vehicles. Each is found
+    before by chance. The rates of tiles have a beta distribution with the correlation of the design
+    effect.
     """
     shares = np.linspace(0.0, 1.0, 41)
     chances = [_chances(requirement, assumptions, tiles, float(share)) for share in shares]
@@ -185,16 +192,15 @@ def _chances(
     # A beta distribution has no rate of exactly 0 or 1.
     inside = min(max(share, 1e-9), 1 - 1e-9)
     shape = (_RUNS, tiles)
-    shown = 1 + generator.poisson(max(assumptions.vehicles_per_tile - 1, 0.0), shape)
+    usual = max(assumptions.vehicles_per_tile / USUAL_IN_SCENE, 1.0)
+    scenes = 1 + generator.poisson(usual - 1, shape)
+    further = (max(assumptions.vehicles_per_tile / usual, 1.0) - 1) / (MOST_IN_SCENE - 1)
+    shown = scenes + generator.binomial(scenes * (MOST_IN_SCENE - 1), further)
     found = generator.binomial(shown, assumptions.found_before)
     rate = generator.beta(inside * certainty, (1 - inside) * certainty, shape)
-    shares = generator.binomial(found, rate) / np.maximum(found, 1)
-    # A share at the limit is no evidence either way.
-    below, above = (
-        np.where(found > 0, shares, limit) for limit in (requirement.reject, requirement.accept)
-    )
-    accepted = evidence_below(below, requirement.reject) >= 1 / requirement.consumer_risk
-    rejected = evidence_above(above, requirement.accept) >= 1 / requirement.producer_risk
+    simulated = Tiles(scenes, found, generator.binomial(found, rate))
+    accepted = evidence_below(simulated, requirement.reject) >= 1 / requirement.consumer_risk
+    rejected = evidence_above(simulated, requirement.accept) >= 1 / requirement.producer_risk
     return float(accepted.mean()), float((rejected & ~accepted).mean())
 
 
