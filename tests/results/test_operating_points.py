@@ -152,13 +152,13 @@ def test_a_lower_threshold_finds_more(tmp_path):
 
 
 def test_a_detector_without_low_scores_is_left_out_and_so_is_the_mean(tmp_path):
-    results = scored(tmp_path, {"retinanet": 1.0, "faster_rcnn": 0.6})
+    scored(tmp_path, {"retinanet": 1.0, "faster_rcnn": 0.6, "yolov5": 0.8})
     place = tmp_path / "scores" / "test" / "baselines.json"
     document = json.loads(place.read_text())
     document["rows"][-1]["alarm_scores"] = [0.9]
     place.write_text(json.dumps(document))
     results = Results.open(tmp_path)
-    assert {row.detector for row in results.equal_alarms} == {"retinanet"}
+    assert {row.detector for row in results.equal_alarms} == {"retinanet", "faster_rcnn"}
 
 
 def test_the_report_and_its_files_have_every_operating_point(tmp_path):
