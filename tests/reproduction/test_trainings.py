@@ -49,7 +49,7 @@ def test_two_trainings(tmp_path):
     with open(layout.tables / "trainings.csv", newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert [row["attack"] for row in rows] == ["T-U", "T-Pix", "T-Fc"]
-    assert all(float(row["easr_training_se"]) >= 5 for row in rows)
+    assert all(float(row["easr_training_se"]) >= 4 for row in rows)
 
     # A training on other images is no repeat of the first.
     card = further.detector("retinanet") / "detector.json"

@@ -11,18 +11,9 @@ from itertools import product
 import numpy as np
 from scipy import optimize, special
 
-from skyproof.results.statistics.contrasts import (
-    DRAWS,
-    GIVEN,
-    SEEDS,
-    TRAININGS,
-    Group,
-    Repeat,
-    RepeatKind,
-    difference_interval,
-    mean_interval,
-)
+from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
 from skyproof.results.statistics.intervals import Sample, resample
+from skyproof.results.statistics.repeats import DRAWS, GIVEN, SEEDS, TRAININGS, Repeat, RepeatKind
 
 REPLICATES = 400
 _POINTS, _WEIGHTS = np.polynomial.hermite_e.hermegauss(101)

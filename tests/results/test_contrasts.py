@@ -10,20 +10,13 @@ import numpy as np
 import pytest
 
 from skyproof.results.statistics import contrasts
-from skyproof.results.statistics.contrasts import (
-    DRAWS,
-    GIVEN,
-    SEARCHES,
-    SEEDS,
-    TRAININGS,
-    Group,
-    Repeat,
-)
+from skyproof.results.statistics.contrasts import Group
 from skyproof.results.statistics.intervals import (
     Sample,
     cluster_interval,
     overall_attack_success_rate,
 )
+from skyproof.results.statistics.repeats import DRAWS, GIVEN, SEARCHES, SEEDS, TRAININGS, Repeat
 
 TILES, VEHICLES = 40, 6
 MARGIN = 1 - 0.025 ** (1 / TILES)

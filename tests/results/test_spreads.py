@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from skyproof.results.outcomes import repeat_of
-from skyproof.results.statistics.contrasts import DRAWS, GIVEN, SEARCHES, SEEDS, TRAININGS
+from skyproof.results.statistics.repeats import DRAWS, GIVEN, SEARCHES, SEEDS, TRAININGS
 
 TABLES = Path(__file__).parents[2] / "docs" / "results"
 _MEASURED = ("quick/textures", "quick/curves", "quick/judges")

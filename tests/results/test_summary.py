@@ -10,7 +10,8 @@ import pytest
 from skyproof.results import result
 from skyproof.results.outcomes import Outcome
 from skyproof.results.score_folder import SetScore
-from skyproof.results.statistics.contrasts import DRAWS, SEEDS, mcnemar_p
+from skyproof.results.statistics.contrasts import mcnemar_p
+from skyproof.results.statistics.repeats import DRAWS, SEEDS
 from tests.results.counted import count_outcomes
 
 REQUIRED = [

@@ -11,8 +11,8 @@ from skyproof.camouflage.name import QUERIED, TRANSFER, CamouflageName
 from skyproof.report.figures import QueryCurve, queries_figure
 from skyproof.results.result import LENIENT_MATCH
 from skyproof.results.results import Results
-from skyproof.results.statistics.contrasts import SEEDS
 from skyproof.results.statistics.intervals import Interval
+from skyproof.results.statistics.repeats import SEEDS
 from skyproof.words import hides, interval, points
 
 _QUANTILE = 1.96

@@ -34,16 +34,9 @@ from skyproof.results.outcomes import Cell, OutcomeCounts, repeat_of
 from skyproof.results.result import MAIN_MATCH, MEAN
 from skyproof.results.results import RENDERER, Results
 from skyproof.results.score_folder import ScoreFolder, merge_scores
-from skyproof.results.statistics.contrasts import (
-    DRAWS,
-    SEEDS,
-    TRAININGS,
-    Group,
-    Repeat,
-    difference_interval,
-    mean_interval,
-)
+from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
 from skyproof.results.statistics.intervals import Interval, Sample, overall_attack_success_rate
+from skyproof.results.statistics.repeats import DRAWS, SEEDS, TRAININGS, Repeat
 from skyproof.results.stored import read_detectors
 from skyproof.words import detector_name
 

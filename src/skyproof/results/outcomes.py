@@ -22,15 +22,9 @@ from skyproof.documents import in_words
 from skyproof.errors import StoredFileError
 from skyproof.files import write_beside
 from skyproof.ranges import Fraction, Match, Metres, Name, WholeNumber, limits_of
-from skyproof.results.statistics.contrasts import (
-    DRAWS,
-    GIVEN,
-    SEARCHES,
-    SEEDS,
-    Group,
-    Repeat,
-)
+from skyproof.results.statistics.contrasts import Group
 from skyproof.results.statistics.intervals import Sample
+from skyproof.results.statistics.repeats import DRAWS, GIVEN, SEARCHES, SEEDS, Repeat
 
 MATCHES: tuple[Match, ...] = get_args(Match)
 

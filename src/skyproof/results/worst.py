@@ -13,14 +13,9 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.results.outcomes import Outcome
 from skyproof.results.results import RENDERER, Results
 from skyproof.results.rows_file import interval_columns, nulls_for_undefined
-from skyproof.results.statistics.contrasts import (
-    DRAWS,
-    Group,
-    Repeat,
-    difference_interval,
-    mean_interval,
-)
+from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
 from skyproof.results.statistics.intervals import UNDEFINED, Interval, attack_success_rate
+from skyproof.results.statistics.repeats import DRAWS, Repeat
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,121 @@
+"""How far seeds, draws, searches and trainings move a mean of rates."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy import special
+
+from skyproof.results.statistics.intervals import TAIL
+
+
+@dataclass(frozen=True)
+class RepeatKind:
+    """A kind of repeat, with the standard deviations of its rates that were measured.
+
+    `usual_sd` is the root mean square and `largest_sd` the largest, over the tables of
+    docs/results. Differences of the same repeats, such as two renderers show, have those of
+    `paired`, where that is another kind.
+    """
+
+    name: str
+    usual_sd: float
+    largest_sd: float
+    paired: RepeatKind | None = None
+
+
+SEEDS = RepeatKind("seeds", 0.034, 0.12)
+"""Seeds of an attack (quick)."""
+
+DRAWS = RepeatKind("draws", 0.09, 0.25, SEEDS)
+"""Draws of a random control, the most for detectors of photographs (quick, ranges of ten). A draw
+acts much alike under two renderers."""
+
+SEARCHES = RepeatKind("searches", 0.14, 0.2, SEEDS)
+"""Starts of the search for a chosen control. Pairs of R-Fc, R-PixFc and R-Pix differed by 4, 39 and
+28 points, and by 19 in the root mean square over four budgets (docs/attacks.md, commit 37a385d)."""
+
+TRAININGS = RepeatKind("trainings", 0.057, 0.19)
+"""Trainings of the detectors, each with attacks from another seed (trainings). An attack and a
+control on one training are paired, but need not fare alike."""
+
+GIVEN = RepeatKind("given", 0.0, 0.0)
+"""What would be the same again: a choice among all plain paints, or a camouflage of the user's."""
+
+
+@dataclass(frozen=True)
+class Repeat:
+    """The repeat of something ("R-U", or "detectors"); series that share the number are of one."""
+
+    of: str
+    number: str
+    kind: RepeatKind
+
+
+def spread_of_repeats(
+    values: Float[np.ndarray, " S"],
+    factors: Float[np.ndarray, " S"],
+    repeats: Sequence[Sequence[Repeat]],
+) -> tuple[dict[str, float], float, float]:
+    """Gives the uncertainty of the mean over all repeats, of which some were seen.
+
+    It is the variance by kind of repeat, and the distances of the lower and the upper 95 % limit.
+
+    Per thing repeated, R repeats of standard deviation s reach t · s / √R, with Student's quantile
+    of R − 1 degrees of freedom. Few repeats that happen to agree do not pass for certain: they
+    reach at least as far as the usual standard deviation of the kind with R degrees. A single
+    repeat reaches 1.96 times the largest one that was measured, and several never more, unless
+    they differ more themselves.
+
+    The distances of several things are squared and added. None reaches beyond the range of a mean
+    of repeats: from 0 to 1, or to a repeat that lies beyond. A series may be a repeat of several
+    things: a control on the second of three trainings is one of its draws and one of the trainings.
+    """
+    variances: dict[str, float] = {}
+    margins: list[tuple[float, float]] = []
+    every: dict[str, dict[int, Repeat]] = {}
+    for place, own in enumerate(repeats):
+        for repeat in own:
+            every.setdefault(repeat.of, {})[place] = repeat
+    for places in every.values():
+        numbers = list(dict.fromkeys(repeat.number for repeat in places.values()))
+        count = len(numbers)
+        sums = np.zeros(count)
+        weights = np.zeros((2, count))
+        for place, repeat in places.items():
+            at = numbers.index(repeat.number)
+            sums[at] += count * factors[place] * values[place]
+            weights[int(factors[place] < 0), at] += abs(factors[place])
+        kind = next(iter(places.values())).kind
+        paired = bool(weights.min() > 0)
+        kind = (kind.paired or kind) if paired else kind
+        if count == 1 and not kind.largest_sd:
+            continue
+        scale = float(weights.sum(axis=1).max())
+        seen = float(sums.std(ddof=1)) if count > 1 else 0.0
+        usual = scale * (kind.usual_sd if count > 1 else kind.largest_sd)
+        variance = max(seen, usual) ** 2 / count
+        variances[kind.name] = variances.get(kind.name, 0.0) + variance
+        single = float(special.ndtri(1 - TAIL)) * max(seen, scale * kind.largest_sd)
+        margin = single
+        if count > 1:
+            apart = float(special.stdtrit(count - 1, 1 - TAIL)) * seen
+            expected = float(special.stdtrit(count, 1 - TAIL)) * usual
+            margin = min(max(apart, expected) / math.sqrt(count), single)
+        if paired:
+            margins.append((margin, margin))
+            continue
+        sign = 1 if weights[1].max() == 0 else -1
+        rates = sign * sums / scale
+        below = min(margin, scale * float(rates.mean() - min(rates.min(), 0.0)))
+        above = min(margin, scale * float(max(rates.max(), 1.0) - rates.mean()))
+        margins.append((below, above) if sign > 0 else (above, below))
+    return (
+        variances,
+        math.hypot(*(below for below, _ in margins)),
+        math.hypot(*(above for _, above in margins)),
+    )
