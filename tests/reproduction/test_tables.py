@@ -530,9 +530,9 @@ def test_what_is_tested_counts_each_camouflage_once(folder):
     page = write_reproduction(folder).read_text()
     tests = next(part for part in page.split("\n\n") if part.startswith("Placebo:"))
     assert table(folder, "shape_combined")["C-U-seq"]["pm_star"] == "0"
-    # T-U, T-Fc, S-O@0.4 and C-Fc-seq@0.2; one draw each but for T-U, whose two leave it open.
-    assert "for 2 of 4 distinct camouflages above" in tests
-    assert "Not surely more than an average random draw: T-U, T-Fc." in tests
+    # T-U, T-Fc, S-O@0.4 and C-Fc-seq@0.2; one draw each but for T-U.
+    assert "for 3 of 4 distinct camouflages above" in tests
+    assert "Not surely more than an average random draw: T-Fc." in tests
     assert "without optimisation" not in tests
     assert "a single draw, which says nothing about others: T-Fc, S-O@0.4, C-Fc-seq@0.2." in tests
     assert "for every repeat and every draw, for 4 of 4." in tests
