@@ -245,10 +245,14 @@ STARTS = {
     for rate in (0.9, 0.5)
     for sd in (0.0, 0.015, 0.03, 0.1)
     for count in (1, 3, 5)
+    if count > 1 or sd <= SEEDS.largest_sd
 }
-"""One to five starts that differ as little as those of textures, or as much as those of shapes."""
+"""One to five starts that differ as on attacked detectors, or several that differ as elsewhere."""
 
 STUDIED = {
+    "1 of starts of SD 0.1, 0.9": World(
+        (Side(0.9, 1, 0.1, SEEDS),), 37, tile_sd=0.12, vehicle_sd=0.05
+    ),
     "vehicle SD 0.3, 0.8, fleet of 8": World((Side(0.8),), fleet=8, vehicle_sd=0.3),
     "vehicle SD 0.3, 0.5, fleet of 8": World((Side(0.5),), fleet=8, vehicle_sd=0.3),
     "3 seeds of SD 0.1, 0.5, 100 like tiles": World((Side(0.5, 3, 0.1),), 100, tile_sd=0.05),

@@ -10,7 +10,8 @@ from skyproof.results.outcomes import repeat_of
 from skyproof.results.statistics.repeats import DRAWS, GIVEN, SEARCHES, SEEDS, TRAININGS
 
 TABLES = Path(__file__).parents[2] / "docs" / "results"
-_MEASURED = ("quick/textures", "quick/curves", "quick/judges")
+_ATTACKED = ("quick/textures", "quick/curves")
+_MEASURED = (*_ATTACKED, "quick/judges")
 # The mean range of ten normal values, in standard deviations.
 _RANGE_OF_TEN = 3.078
 
@@ -21,9 +22,9 @@ def rows(name):
         return [row for row in csv.DictReader(file) if row.get("pm") != "0"]
 
 
-def of_seeds():
+def of_seeds(tables=_MEASURED):
     """Standard deviations of three seeds each, which follow from their ends and mean."""
-    for row in (row for name in _MEASURED for row in rows(name)):
+    for row in (row for name in tables for row in rows(name)):
         if row["repeats"] == "3":
             low, mean, high = (
                 float(row[name]) for name in ("easr_repeat_min", "easr", "easr_repeat_max")
@@ -51,7 +52,9 @@ def test_spreads_are_those_of_the_tables(kind, measured):
     assert len(found) > 20
     usual = math.sqrt(sum(each**2 for each in found) / len(found))
     assert kind.usual_sd == pytest.approx(usual, rel=0.05)
-    assert max(found) <= kind.largest_sd <= 1.05 * max(found)
+    # Held-out detectors tell seeds apart more than attacked ones do.
+    largest = max(of_seeds(_ATTACKED) if kind is SEEDS else found)
+    assert largest <= kind.largest_sd <= 1.05 * largest
 
 
 def test_pairs_of_searches():

@@ -17,9 +17,9 @@ from skyproof.results.statistics.intervals import TAIL
 class RepeatKind:
     """A kind of repeat, with the standard deviations of its rates that were measured.
 
-    `usual_sd` is the root mean square and `largest_sd` the largest, over the tables of
-    docs/results. Differences of the same repeats, such as two renderers show, have those of
-    `paired`, where that is another kind.
+    `usual_sd` is the root mean square over the tables of docs/results, and `largest_sd` the largest
+    that a single repeat has to reckon with. Differences of the same repeats, such as two renderers
+    show, have those of `paired`, where that is another kind.
     """
 
     name: str
@@ -28,8 +28,9 @@ class RepeatKind:
     paired: RepeatKind | None = None
 
 
-SEEDS = RepeatKind("seeds", 0.034, 0.12)
-"""Seeds of an attack (quick)."""
+SEEDS = RepeatKind("seeds", 0.034, 0.046)
+"""Seeds of an attack (quick). The largest is that of attacked detectors. Held-out ones differ by up
+to 0.12, so an attack on them needs several seeds."""
 
 DRAWS = RepeatKind("draws", 0.09, 0.25, SEEDS)
 """Draws of a random control, the most for detectors of photographs (quick, ranges of ten). A draw
@@ -68,8 +69,8 @@ def spread_of_repeats(
     Per thing repeated, R repeats of standard deviation s reach t · s / √R, with Student's quantile
     of R − 1 degrees of freedom. Few repeats that happen to agree do not pass for certain: they
     reach at least as far as the usual standard deviation of the kind with R degrees. A single
-    repeat reaches 1.96 times the largest one that was measured, and several never more, unless
-    they differ more themselves.
+    repeat reaches 1.96 times the largest one, and several never more, unless they differ more
+    themselves.
 
     The distances of several things are squared and added. None reaches beyond the range of a mean
     of repeats: from 0 to 1, or to a repeat that lies beyond. A series may be a repeat of several
@@ -100,12 +101,14 @@ def spread_of_repeats(
         usual = scale * (kind.usual_sd if count > 1 else kind.largest_sd)
         variance = max(seen, usual) ** 2 / count
         variances[kind.name] = variances.get(kind.name, 0.0) + variance
-        single = float(special.ndtri(1 - TAIL)) * max(seen, scale * kind.largest_sd)
+        single = float(special.ndtri(1 - TAIL)) * scale * kind.largest_sd
         margin = single
         if count > 1:
             apart = float(special.stdtrit(count - 1, 1 - TAIL)) * seen
             expected = float(special.stdtrit(count, 1 - TAIL)) * usual
-            margin = min(max(apart, expected) / math.sqrt(count), single)
+            margin = max(apart, expected) / math.sqrt(count)
+            if seen <= scale * kind.largest_sd:
+                margin = min(margin, single)
         if paired:
             margins.append((margin, margin))
             continue
