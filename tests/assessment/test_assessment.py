@@ -286,7 +286,8 @@ def test_the_demo_takes_detectors_as_they_come(folder):
     assert ids(its) == [
         *("ground/ground", "detector/mine", "vehicles/fleets", "scenes/test", "render/test"),
         *("attack/T-U", "attack/T-PixFcMa", *(f"choose/{name}" for name in chosen)),
-        *("control/random", "score/test-0", "score/test-1", "report/report"),
+        *("control/random", "scenes/empty", "render/empty"),
+        *("score/test-0", "score/test-1", "report/report"),
     ]
     assert scored(its)[:8] == ["T-U", "T-PixFcMa", *chosen]
     # A search has the steps of the attack that it stands beside.

@@ -195,7 +195,7 @@ def test_what_no_imagery_could_show_is_refused_at_once(assessed, tmp_path, skypr
     out = tmp_path / "run"
     call = ("assess", assessed / "mine", "--out", out, "--device", "cpu")
     skyproof(*call, "--accept", 0.2, "--reject", 0.3).refused(
-        "takes 11 test tiles", "the suite has 6 scenes", "larger risk"
+        "takes 17 test tiles", "the suite has 6 scenes", "larger risk"
     )
     assert not out.exists()
 

@@ -5,6 +5,7 @@ import shutil
 
 import pytest
 
+from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.card import read_card
 from skyproof.results.precheck import read_precheck
 from tests.cli.conftest import Skyproof, bytes_of

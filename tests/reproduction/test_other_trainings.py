@@ -8,6 +8,7 @@ from skyproof.errors import ConfigurationError
 from skyproof.files import write_json
 from skyproof.reproduction.layout import PaperLayout
 from skyproof.reproduction.report import write_reproduction_report
+from skyproof.results.statistics.repeats import DRAWS
 from tests.reproduction.fabricate import DETECTORS, write_scores
 
 RATES = {
@@ -70,17 +71,16 @@ def test_by_hand(folder):
     close(row["easr_training_sd"], 20)
     close(row["random_easr"], 15)
     close(row["net_easr"], 65)
-    # Trainings 0, -20 and 20 points off, and one that was expected 10 off.
-    error = (100 + 2 * 400) ** 0.5 / 3
-    close(row["easr_training_se"], error)
-    net_error = (100 + 25 + 625 + 900) ** 0.5 / 3
-    close(row["net_easr_training_se"], net_error)
-    # Draws hide 10 and 20 % of the mean training, and one was expected 50 off.
-    close(row["net_easr_draw_se"], (2500 + 2 * 25) ** 0.5 / 2)
+    # Trainings 0, -20 and 20 points off.
+    close(row["easr_training_se"], 20 / 3**0.5)
+    close(row["net_easr_training_se"], ((25 + 625 + 900) / 2 / 3) ** 0.5)
+    # Draws hide 10 and 20 % of the mean training, nearer than draws usually are.
+    close(row["net_easr_draw_se"], 100 * DRAWS.usual_sd / 2**0.5)
     # Tiles and vehicles are all alike here: 20 tiles, of 40 vehicles, that agree on everything.
     close(row["easr_tile_se"], 0)
     margin = 100 * (1 - 0.025 ** (1 / 20))
-    close(row["easr_low"], 80 - (margin**2 + (3.182446 * error) ** 2) ** 0.5)
+    # No more than 1.96 of a single one.
+    close(row["easr_low"], 80 - (margin**2 + (1.959964 * 20) ** 2) ** 0.5)
     close(row["easr_high"], 100)
     assert row["easr_seed_se"] == "–"
 
@@ -98,11 +98,11 @@ def test_seeds_are_a_part_of_how_trainings_differ(folder):
     close(row["easr_seed_se"], (200 / 6) ** 0.5)
     mean = 250 / 3
     squares = sum((easr - mean) ** 2 for easr in (90, 70, 90))
-    error = (100 + squares) ** 0.5 / 3
+    error = (squares / 2 / 3) ** 0.5
     close(row["easr_training_se"], error)
     # And are not counted once more.
     margin = 100 * (1 - 0.025 ** (1 / 20))
-    close(row["easr_low"], mean - (margin**2 + (3.182446 * error) ** 2) ** 0.5)
+    close(row["easr_low"], mean - (margin**2 + (4.302653 * error) ** 2) ** 0.5)
 
 
 def test_the_page_tells_recipe_and_trainings(folder):

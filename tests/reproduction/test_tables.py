@@ -394,9 +394,9 @@ def test_how_far_success_moves_to_cycles(folder):
     close(rows["textures"]["cycles_easr"], 56.25)
     close(rows["textures"]["change"], -3.75)
     # Tiles that all agree leave the exact margin, 1 - 0.025^(1/20), of both renderers' means. The
-    # repeats add what a single one would: (1.96 · 12)² for T-U (-30, -25), 1.96² · 2 · 10² for T-Fc
-    # (30, 10), each halved before it is squared.
-    margin = (2 * (100 * (1 - 0.025**0.05)) ** 2 + 1.959964**2 * (144 + 200) / 4) ** 0.5
+    # repeats add what a single one would: (1.96 · 4.6)² for T-U (-30, -25), 1.96² · 2 · 10² for
+    # T-Fc (30, 10), each halved before it is squared.
+    margin = (2 * (100 * (1 - 0.025**0.05)) ** 2 + 1.959964**2 * (4.6**2 + 200) / 4) ** 0.5
     close(rows["textures"]["change_low"], -3.75 - margin)
     # 10, 30 and 10 became 12.5, 37.5 and 25; R-U counts as much as R-Fc, which has one draw.
     close(rows["random textures"]["change"], 25 - 15)

@@ -106,9 +106,8 @@ def spread_of_repeats(
         if count > 1:
             apart = float(special.stdtrit(count - 1, 1 - TAIL)) * seen
             expected = float(special.stdtrit(count, 1 - TAIL)) * usual
-            margin = max(apart, expected) / math.sqrt(count)
-            if seen <= scale * kind.largest_sd:
-                margin = min(margin, single)
+            most = single * max(1.0, seen / (scale * kind.largest_sd))
+            margin = min(max(apart, expected) / math.sqrt(count), most)
         if paired:
             margins.append((margin, margin))
             continue
