@@ -161,7 +161,7 @@ def _write(
             real=real_data(results),
             baselines=baselines,
             bounds=(LARGEST_DIFFERENCE, LEAST_OVERLAP),
-            points=[FROZEN, *EQUAL_ALARMS],
+            points=_points(results),
             alarms=alarms_in_words(results.points),
             opening=opening(every, acceptance, precheck, baselines, hardened=hardened is not None),
             example=next(iter(contents.pairs(strongest, 1)), None) if strongest else None,
@@ -175,6 +175,17 @@ def _write(
     )
     write_bytes(layout.report, page.encode())
     return layout.report
+
+
+def _points(results: Results) -> dict[str, str]:
+    """The operating points at which rates are known, with their headings."""
+    known = {row.operating_point for row in results.equal_alarms}
+    others = {
+        name: f"at {rate} false alarms per km²"
+        for name, rate in EQUAL_ALARMS.items()
+        if name in known
+    }
+    return {FROZEN: "at the frozen threshold"} | others
 
 
 def templates(package: str) -> jinja2.Environment:
