@@ -177,10 +177,9 @@ def test_repeats_by_hand(sample, rng):
         *(lost, lost, lost + 1, lost + 1, lost + 2, lost + 2), repeats=labels("T-U", SEEDS, 3, 2)
     )
     found = mean_interval(seeds, sample)
-    # Rates a sixth apart: three of them, two degrees, but never more than 1.96 of a single one.
+    # Rates a sixth apart: three of them, two degrees.
     assert found.errors == alone.errors | {"seeds": pytest.approx(1 / 6 / 3**0.5)}
-    margin = 1.959964 / 6
-    assert margin < 4.302653 / 6 / 3**0.5
+    margin = 4.302653 / 6 / 3**0.5
     assert found.high - found.estimate == pytest.approx(
         math.hypot(alone.high - alone.estimate, margin)
     )
@@ -246,15 +245,15 @@ def test_a_difference_has_the_repeats_of_both_sides(sample, rng):
     assert found.errors["seeds"] == pytest.approx(1 / 6 / 3**0.5)
     assert found.errors["draws"] == pytest.approx(2 / 6 / 2**0.5 / 2**0.5)
     # Of the draws the mean may be anything from 0 on, and 1.96 times the largest standard
-    # deviation of a kind higher. That of the seeds may be 1.96 times theirs off, and at most 1.
+    # deviation of a kind higher. That of the seeds has two degrees, and is at most 1.
     drawn = (lost.mean() - 1) / 6
     learnt = (lost.mean() + 2) / 6
-    of_seeds, of_draws = 1.959964 / 6, 1.959964 * DRAWS.largest_sd
+    of_seeds, of_draws = 4.302653 / 6 / 3**0.5, 1.959964 * DRAWS.largest_sd
     assert found.high - found.estimate == pytest.approx(
         math.hypot(plain.high - plain.estimate, min(of_seeds, 1 - learnt), min(of_draws, drawn))
     )
     assert found.estimate - found.low == pytest.approx(
-        math.hypot(plain.estimate - plain.low, of_seeds, min(of_draws, 1 - drawn))
+        math.hypot(plain.estimate - plain.low, min(of_seeds, learnt), min(of_draws, 1 - drawn))
     )
 
 

@@ -69,8 +69,8 @@ def spread_of_repeats(
     Per thing repeated, R repeats of standard deviation s reach t · s / √R, with Student's quantile
     of R − 1 degrees of freedom. Few repeats that happen to agree do not pass for certain: they
     reach at least as far as the usual standard deviation of the kind with R degrees. A single
-    repeat reaches 1.96 times the largest one, and several never more, unless they differ more
-    themselves.
+    repeat reaches 1.96 times the largest one, and several no farther unless they differ more. Two
+    that do reach 1.96 times as far as they differ, because Student's quantile would say nothing.
 
     The distances of several things are squared and added. None reaches beyond the range of a mean
     of repeats: from 0 to 1, or to a repeat that lies beyond. A series may be a repeat of several
@@ -106,8 +106,10 @@ def spread_of_repeats(
         if count > 1:
             apart = float(special.stdtrit(count - 1, 1 - TAIL)) * seen
             expected = float(special.stdtrit(count, 1 - TAIL)) * usual
-            most = single * max(1.0, seen / (scale * kind.largest_sd))
-            margin = min(max(apart, expected) / math.sqrt(count), most)
+            margin = max(apart, expected) / math.sqrt(count)
+            more = seen / (scale * kind.largest_sd)
+            if more <= 1 or count == 2:
+                margin = min(margin, single * max(1.0, more))
         if paired:
             margins.append((margin, margin))
             continue
