@@ -224,10 +224,14 @@ def fleets(its: Subject, layout: Layout, title: str = "fleets") -> Step:
     return Step("vehicles", title, (layout.fleets,), work, settings, effort_s=effort_s)
 
 
+def _ground(split: Shown) -> Split:
+    """The split whose ground and vehicles scenes have."""
+    return "test" if split == "empty" else split
+
+
 def scenes(its: Subject, layout: Layout, split: Shown, title: str = "") -> Step:
     """Draws the scenes of a split; "empty" are test scenes without vehicles."""
-    count, out = its.suite.test_images, layout.scenes(split)
-    ground: Split = "test" if split == "empty" else split
+    count, out, ground = its.suite.test_images, layout.scenes(split), _ground(split)
 
     def work() -> None:
         # Only the run's own ground was cut from imagery.
@@ -235,7 +239,8 @@ def scenes(its: Subject, layout: Layout, split: Shown, title: str = "") -> Step:
         if layout == its.layout and its.request.imagery:
             places = its.places
             why = _FEW if its.labelled else "there are no labels"
-            say(f"  note: {_STAND[places].format(why=why)}")
+            if split != "empty":
+                say(f"  note: {_STAND[places].format(why=why)}")
         draw_scenes(
             backgrounds=layout.backgrounds,
             fleet=layout.fleets / ground,
@@ -262,7 +267,7 @@ def rendered(
         **vars(chosen),
         scenes=layout.scenes(split),
         backgrounds=layout.backgrounds,
-        fleet=layout.fleets / ("test" if split == "empty" else split),
+        fleet=layout.fleets / _ground(split),
         out=out,
         device=its.request.device,
     )

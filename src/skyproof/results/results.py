@@ -38,6 +38,8 @@ from skyproof.results.stored import (
 )
 from skyproof.scenes.scene import Scene, read_scenes
 
+_Key = tuple[CamouflageName, str, str, str]
+
 RENDERER = "torch"
 """The renderer that attacks go through."""
 
@@ -213,11 +215,12 @@ class Results:
     ) -> Result | None:
         """Finds a camouflage's row, of the mean over detectors or of one; None if not scored."""
         wanted = detector or (MEAN if len(self.detectors) > 1 else self.detectors[0])
-        return self._by_name.get((name, wanted, renderer, match, FROZEN))
+        return self._by_name.get((name, wanted, renderer, match))
 
     def at(self, row: Result, point: str) -> Result | None:
         """Gives the same result at another operating point; None where it is not known."""
-        return self._by_name.get((row.camouflage, row.detector, row.renderer, row.match, point))
+        key = (row.camouflage, row.detector, row.renderer, row.match)
+        return self._by_name.get(key) if point == FROZEN else self._by_point.get((key, point))
 
     @cached_property
     def quoted(self) -> list[Result]:
@@ -318,10 +321,15 @@ class Results:
         return [row for row in self.rows if row.detector != MEAN]
 
     @cached_property
-    def _by_name(self) -> dict[tuple[CamouflageName, str, str, str, str], Result]:
+    def _by_name(self) -> dict[_Key, Result]:
+        return {(row.camouflage, row.detector, row.renderer, row.match): row for row in self.rows}
+
+    @cached_property
+    def _by_point(self) -> dict[tuple[_Key, str], Result]:
+        # Apart, because every operating point reads and resamples all outcomes again.
         return {
-            (row.camouflage, row.detector, row.renderer, row.match, row.operating_point): row
-            for row in (*self.rows, *self.equal_alarms)
+            ((row.camouflage, row.detector, row.renderer, row.match), row.operating_point): row
+            for row in self.equal_alarms
         }
 
     @cached_property

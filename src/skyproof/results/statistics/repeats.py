@@ -29,8 +29,8 @@ class RepeatKind:
 
 
 SEEDS = RepeatKind("seeds", 0.034, 0.046)
-"""Seeds of an attack (quick). The largest is that of attacked detectors. Held-out ones differ by up
-to 0.12, so an attack on them needs several seeds."""
+"""Seeds of an attack (quick). The largest is that of attacked detectors. On held-out ones it is
+0.12, so a rate there needs several seeds."""
 
 DRAWS = RepeatKind("draws", 0.09, 0.25, SEEDS)
 """Draws of a random control, the most for detectors of photographs (quick, ranges of ten). A draw
@@ -70,7 +70,8 @@ def spread_of_repeats(
     of R − 1 degrees of freedom. Few repeats that happen to agree do not pass for certain: they
     reach at least as far as the usual standard deviation of the kind with R degrees. A single
     repeat reaches 1.96 times the largest one, and several no farther unless they differ more. Two
-    that do reach 1.96 times as far as they differ, because Student's quantile would say nothing.
+    that differ more reach 1.96 times their own standard deviation, because Student's quantile of
+    one degree of freedom would cover nearly every rate.
 
     The distances of several things are squared and added. None reaches beyond the range of a mean
     of repeats: from 0 to 1, or to a repeat that lies beyond. A series may be a repeat of several
