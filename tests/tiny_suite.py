@@ -26,6 +26,7 @@ TINY_SUITE = replace(
     settings=replace(_WHOLE.settings, batch_size=2, balance_batches=1, checkpoint_every=2),
     steps=replace(_WHOLE.steps, texture=4),
     draws=2,
+    searches=1,
     attack_m=16.0,
     image_m=16.0,
     test_images=6,

@@ -217,7 +217,9 @@ def test_every_attack_is_scored_beside_its_controls(folder):
     assert len(names) == len(set(names))
     for name in SUITE.names:
         assert str(name) in names
-        assert {str(control) for control in name.chosen_controls} <= set(names)
+        plain, best, search = name.chosen_controls
+        searches = [str(search.with_repeat(number)) for number in range(SUITE.searches)]
+        assert {str(plain), str(best), *searches} <= set(names)
         draws = [str(name.control.with_repeat(draw)) for draw in range(SUITE.draws)]
         assert set(draws) <= set(names)
 
@@ -280,8 +282,8 @@ def test_several_detectors_are_attacked_together(folder):
 def test_the_demo_takes_detectors_as_they_come(folder):
     its = subject(folder, suite=DEMO, gsd_m=0.125, imagery=(), labels=None)
     chosen = [
-        *("R-U_plain", "R-U_best", "R-U_search"),
-        *("R-Ma_plain", "R-PixFcMa_best", "R-PixFcMa_search"),
+        *("R-U_plain", "R-U_best", *(f"R-U_search-{start}" for start in range(5))),
+        *("R-Ma_plain", "R-PixFcMa_best", *(f"R-PixFcMa_search-{start}" for start in range(5))),
     ]
     assert ids(its) == [
         *("ground/ground", "detector/mine", "vehicles/fleets", "scenes/test", "render/test"),
@@ -289,13 +291,18 @@ def test_the_demo_takes_detectors_as_they_come(folder):
         *("control/random", "scenes/empty", "render/empty"),
         *("score/test-0", "score/test-1", "report/report"),
     ]
-    assert scored(its)[:8] == ["T-U", "T-PixFcMa", *chosen]
-    # A search has the steps of the attack that it stands beside.
+    assert scored(its)[:16] == ["T-U", "T-PixFcMa", *chosen]
+    # A search has the steps of the attack that it stands beside, and each begins elsewhere.
     by_name = {step.name: step for step in assess_steps(its)}
-    assert by_name["R-PixFcMa_search"].settings == by_name["T-PixFcMa"].settings
+    attack = by_name["T-PixFcMa"].settings
+    searches = [by_name[f"R-PixFcMa_search-{start}"].settings for start in range(5)]
+    assert [each[0] for each in searches] == [
+        replace(attack[0], seed=its.seed + start) for start in range(5)
+    ]
+    assert {each[1:] for each in searches} == {attack[1:]}
     assert (its.image_px, its.attack_px) == (160, 128)
     path_traced = replace(its, request=replace(its.request, cycles=True))
-    assert scored(path_traced)[-8:] == ["T-U", "T-PixFcMa", *chosen]
+    assert scored(path_traced)[-16:] == ["T-U", "T-PixFcMa", *chosen]
 
 
 def test_cycles_adds_steps_and_changes_none(folder):
@@ -313,12 +320,12 @@ def test_images_cover_the_same_ground_at_every_resolution(gsd_m, image_px, attac
     assert (its.image_px, its.attack_px) == (image_px, attack_px)
 
 
-def test_version_four_is_frozen():
+def test_version_five_is_frozen():
     """Another suite is another version: numbers of one cannot be compared with the other's."""
-    assert SUITE.version == 4
+    assert SUITE.version == 5
     assert (
         file_digest(SUITE_FILE)
-        == "cf28f5bcadb546e9f5bd4dfbab44aeb792f3eb75797ce954fb30641f8950778a"
+        == "ea7ecad9f7ab6945c43ed871c6087d922c0eb14e99403be1fda0eb4313a2737b"
     )
 
 

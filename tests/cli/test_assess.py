@@ -25,6 +25,7 @@ TINY = replace(
     steps=replace(WHOLE.steps, texture=2, shape=2),
     draws=1,
     best_of=2,
+    searches=2,
     attack_m=12.0,
     image_m=16.0,
     test_images=6,
@@ -67,10 +68,12 @@ def test_from_a_detector_folder_to_a_report(assessed):
         "R-U_search",
         "T-U_asked",
     }
+    repeats = {row["camouflage"]: row["repeats"] for row in results["rows"]}
+    assert (repeats["R-U_best"], repeats["R-U_search"]) == (1, 2)
     (worst,) = results["worst_cases"]
     assert worst["attacks"] == list(TINY.attacks)
     config = json.loads((assessed / "run/config.json").read_text())
-    assert config["suite"]["version"] == 4
+    assert config["suite"]["version"] == 5
     assert config["imagery"] == "procedural"
     check = json.loads((assessed / "run/detectors/retinanet/precheck.json").read_text())
     # What was measured when the detector was made is not what is found here.

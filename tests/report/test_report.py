@@ -305,6 +305,8 @@ def test_an_answer_says_what_is_hidden_more_than_average_and_than_the_strongest_
         "optimisation, a random search with as many images (30 %). The difference is the "
         "optimisation’s own effect."
     )
+    several = result(Interval(0.5, 0.4, 0.6), strongest=dataclasses.replace(found, draws=5))
+    assert "the mean of 5 random searches, each with as many images (30" in answer([several])[1]
     as_good = beside("R-Ma_plain", 0.45, Interval(0.05, -0.02, 0.1))
     _, average, best, *_ = answer(
         [result(Interval(0.5, 0.4, 0.6), Interval(0.45, 0.3, 0.5), 0.05, strongest=as_good)]

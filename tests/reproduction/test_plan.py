@@ -119,6 +119,10 @@ def test_controls_are_chosen_and_shapes_drawn_on_learnt_textures():
         *("R-S-O@0.4_plain", "R-S-O@0.4_best", "R-S-O@0.4_search"),
         *("R-C-U@0.4_plain", "R-C-Fc@0.4_best", "R-C-Fc@0.4_search"),
     ]
+    searched = jobs(**more, searches=2, seed=3)
+    repeats = ("R-Fc_search-0", "R-Fc_search-1")
+    assert [name for name in searched.chosen if name.startswith("R-Fc_search")] == [*repeats]
+    assert [searched.chosen[name].settings.seed for name in repeats] == [3, 4]
     # As many steps as texture and shape of the sequential attack together, more than the parallel.
     steps = {name: job.settings.steps for name, job in own.chosen.items()}
     assert steps["R-Fc_search"] == 8

@@ -31,7 +31,7 @@ def attacks(its: Subject) -> Iterator[Step]:
             yield from _transferred(its, name, name)
         else:
             yield attack(its, name, suite.attack(name, its.seed))
-    chosen = suite.chosen_controls(its.seed)
+    chosen = suite.chosen_controls(its.seed, 1 if boxed else suite.searches)
     asked = [name for name in chosen if boxed and name.choice == "search"]
     for name in asked:
         yield query(its, name)

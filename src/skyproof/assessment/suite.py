@@ -14,6 +14,7 @@ from skyproof.attacks.settings import AttackSettings, QuerySettings
 from skyproof.camouflage.name import CamouflageName, chosen_controls
 from skyproof.documents import read_document
 from skyproof.ranges import Count, WholeNumber
+from skyproof.seeds import next_seed
 
 SUITE = Path(__file__).with_name("suite.json")
 DEMO_SUITE = Path(__file__).with_name("demo.json")
@@ -56,6 +57,8 @@ class Suite:
     Attributes:
         attacks: optimised camouflages; a texture stands before the shape on it.
         settings: settings of all attacks, except for the steps.
+        searches: random searches of each attack's control, if gradients guide them; a detector
+            that only answers is searched once, with a budget of queries.
         compared: attacks that are repeated as query attacks on a single detector with gradients; a
             stronger query attack shows that the gradients mislead.
         attack_m: side of the images in attacks, in metres.
@@ -73,6 +76,7 @@ class Suite:
     steps: AttackSteps
     draws: Count
     best_of: Count
+    searches: Count
     queries: QuerySettings
     compared: tuple[str, ...]
     attack_m: Annotated[float, Meta(gt=0)]
@@ -92,13 +96,15 @@ class Suite:
         """The settings of an attack."""
         return replace(self.settings, steps=self.steps.of(name), seed=seed)
 
-    def chosen_controls(self, seed: int) -> dict[CamouflageName, AttackSettings]:
+    def chosen_controls(self, seed: int, searches: int) -> dict[CamouflageName, AttackSettings]:
         """The controls that the detectors choose, with the steps of the longest attack."""
         under = self.steps.texture
         steps = {name: self.steps.of(name) + under * (name.order == "seq") for name in self.names}
         return {
-            control: replace(self.settings, steps=count, seed=seed)
-            for control, count in chosen_controls(steps).items()
+            control: replace(
+                self.settings, steps=count, seed=next_seed(seed, int(control.repeat or 0))
+            )
+            for control, count in chosen_controls(steps, searches).items()
         }
 
     def random_controls(self) -> list[str]:

@@ -4,7 +4,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from skyproof.camouflage.name import CamouflageName
 from skyproof.results.result import MEAN, Contrast, Result
 from skyproof.results.results import RENDERER, RendererChange, Results
 from skyproof.results.statistics.intervals import Interval
@@ -107,7 +106,7 @@ def _beside_controls(row: Result) -> list[str]:
             "search), so the effect of the optimisation is unknown."
         )
         return sentences
-    strongest = f"the strongest control without optimisation, {_how(row.strongest.control)}"
+    strongest = f"the strongest control without optimisation, {_how(row.strongest)}"
     sentences.append(_more(row.strongest, strongest))
     if row.strongest.net.low > 0:
         sentences[-1] += " The difference is the optimisation’s own effect."
@@ -131,12 +130,14 @@ def _more(beside: Contrast, control: str) -> str:
     return f"The difference from {other} is not significant: {estimate} points ({sure})."
 
 
-def _how(control: CamouflageName) -> str:
+def _how(beside: Contrast) -> str:
     """Says in words how a control was chosen, or names a single draw or paint."""
+    control = beside.control
     if control.choice is None:
         return str(control)
     if control.choice == "search":
-        return "a random search with as many images"
+        many = f"the mean of {beside.draws} random searches, each"
+        return f"{many if beside.draws > 1 else 'a random search'} with as many images"
     if control.choice == "best":
         return "the best of many random draws"
     even = "" if control.magnitude is None else "every vertex out"

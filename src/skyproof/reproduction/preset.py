@@ -169,6 +169,7 @@ class Preset:
         score_batch: camouflages scored in one step; a quarter of them on Cycles.
         reference: detectors that are taken as they come with skyproof.
         best_of: draws of the best-of-N control; 0 for no plain-paint, best-of-N and search control.
+        searches: random searches of each attack's control.
         trainings: trainings of every detector, from different seeds. The attacks on all detectors
             are repeated on each.
         blur_sigma_px: blur of the vehicles in pixels, or "paper" for the paper's 2.4; None for the
@@ -197,6 +198,7 @@ class Preset:
     resources: Resources
     reference: Annotated[tuple[Known, ...], Meta(max_length=3)] = ()
     best_of: Annotated[int, Meta(ge=0, le=100)] = 0
+    searches: Annotated[int, Meta(ge=1, le=100)] = 1
     trainings: Annotated[int, Meta(ge=1, le=10)] = 1
     cycles_headlines: _Textures = ()
     features: _Textures = ()

@@ -1,4 +1,4 @@
-"""Plain paints of the precheck, as controls beside optimised camouflages."""
+"""Plain paints and random patterns of the precheck, as controls beside optimised textures."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -11,38 +11,50 @@ from skyproof.results.precheck import PAINTED, PrecheckRecord, Rate, rate_words
 from skyproof.results.result import MAIN_MATCH, MEAN, Contrast, Result
 from skyproof.results.statistics.intervals import Interval
 
+_WHOLE = PAINTED["paint_whole"]
+
 
 def beside_paints(
     row: Result, prechecks: Mapping[str, PrecheckRecord], detectors: Sequence[str]
 ) -> Result:
-    """Lets every paint of the detectors' prechecks enter the strongest control of a row.
+    """Lets paints and patterns of the detectors' prechecks enter the strongest control of a row.
 
-    Paints are measured on the renderer by the main rule, so other rows stay, and those without a
-    chosen control. A masked texture has the paints on body panels, another one all. Their scenes
-    are the first of the test, so the limits count both rates as independent; there is no test.
+    They are measured on the renderer by the main rule, so other rows stay, and those without a
+    chosen control. A masked texture has the paints on body panels, another one all of them and the
+    patterns that no training draws, such as stripes. Their scenes are the first of the test, so the
+    limits count both rates as independent; there is no test.
     """
     strongest, texture = row.strongest, row.camouflage.constraints
     names = detectors if row.detector == MEAN else [row.detector]
     known = {*names} <= {*prechecks} and (row.renderer, row.match) == ("torch", MAIN_MATCH)
     if strongest is None or texture is None or not known:
         return row
-    kinds = [kind for kind in PAINTED if not (texture.masked and kind == "paint_whole")]
-    paints: dict[str, list[Rate]] = {}
-    for rate in (each for name in names for each in prechecks[name].rates if each.kind in kinds):
-        paints.setdefault(f"plain paint {rate_words(rate)} {PAINTED[rate.kind]}", []).append(rate)
+    controls: dict[str, list[Rate]] = {}
+    for rate in (each for name in names for each in prechecks[name].rates):
+        words = _control_words(rate)
+        if words and not (texture.masked and words.endswith(_WHOLE)):
+            controls.setdefault(words, []).append(rate)
     every = [strongest]
-    every += [_net(row.easr, *paint) for paint in paints.items() if len(paint[1]) == len(names)]
+    every += [_net(row.easr, *each) for each in controls.items() if len(each[1]) == len(names)]
     best = max(every, key=lambda each: each.easr)
     low = float(np.min([each.net.low for each in every]))
     return replace(row, strongest=replace(best, net=replace(best.net, low=low), p=strongest.p))
 
 
-def _net(easr: Interval, paint: str, rates: Sequence[Rate]) -> Contrast:
-    """Sets a rate beside a paint's, the mean over the detectors; their limits err together."""
+def _control_words(rate: Rate) -> str:
+    """Says what vehicles wear and where; empty for random controls, which the test draws, too."""
+    if rate.kind in PAINTED:
+        return f"plain paint {rate_words(rate)} {PAINTED[rate.kind]}"
+    pattern = rate.kind == "control" and not rate.name.startswith("R-")
+    return f"random {rate.name} {_WHOLE}" if pattern else ""
+
+
+def _net(easr: Interval, control: str, rates: Sequence[Rate]) -> Contrast:
+    """Sets a rate beside a control's, the mean over the detectors; their limits err together."""
     ends = [(each.easr.estimate, each.easr.low, each.easr.high) for each in rates]
     hidden, low, high = np.mean(ends, axis=0).tolist()
     net = easr.estimate - hidden
     below = math.hypot(easr.estimate - easr.low, high - hidden)
     above = math.hypot(easr.high - easr.estimate, hidden - low)
-    name = CamouflageName("other", random=True, label=paint)
-    return Contrast(name, hidden, 1, Interval(net, net - below, net + above))
+    name = CamouflageName("other", random=True, label=control)
+    return Contrast(name, hidden, rates[0].draws, Interval(net, net - below, net + above))
