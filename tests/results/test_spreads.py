@@ -7,7 +7,14 @@ from pathlib import Path
 import pytest
 
 from skyproof.results.outcomes import repeat_of
-from skyproof.results.statistics.repeats import DRAWS, GIVEN, SEARCHES, SEEDS, TRAININGS
+from skyproof.results.statistics.repeats import (
+    BESTS,
+    DRAWS,
+    GIVEN,
+    SEARCHES,
+    SEEDS,
+    TRAININGS,
+)
 
 TABLES = Path(__file__).parents[2] / "docs" / "results"
 _ATTACKED = ("quick/textures", "quick/curves")
@@ -57,6 +64,15 @@ def test_spreads_are_those_of_the_tables(kind, measured):
     assert largest <= kind.largest_sd <= 1.05 * largest
 
 
+def test_the_best_of_32_draws_spreads_half_as_much_as_one(rng):
+    largest = rng.normal(size=(20_000, 32)).max(axis=1).std()
+    for best, single in (
+        (BESTS.usual_sd, DRAWS.usual_sd),
+        (BESTS.largest_sd, DRAWS.largest_sd),
+    ):
+        assert best == pytest.approx(largest * single, rel=0.05)
+
+
 def test_pairs_of_searches():
     """EASR of two starts each, by images a step (docs/attacks.md, commit 37a385d)."""
     eight = [(34, 30), (13, 52), (27, -1)]
@@ -80,7 +96,7 @@ def test_pairs_of_searches():
         ("R-U-1", "R-U", "1", DRAWS),
         ("R-PixFc_search-4", "R-PixFc_search", "4", SEARCHES),
         ("R-PixFc_search", "R-PixFc_search", "", SEARCHES),
-        ("R-PixFc_best", "R-PixFc_best", "", SEARCHES),
+        ("R-PixFc_best", "R-PixFc_best", "", BESTS),
         ("R-U_plain", "R-U_plain", "", GIVEN),
         ("my net", "my net", "", GIVEN),
     ],

@@ -195,6 +195,11 @@ def test_a_single_draw_that_hides_more_than_the_chosen_controls_is_the_strongest
     strongest = {str(row.camouflage): row for row in made}["T-Ma"].strongest
     assert (str(strongest.control), strongest.easr, strongest.draws) == ("R-Ma-1", 0.6, 1)
     assert strongest.net.estimate == pytest.approx(0.2)
+    # Asked about as it is, a draw stands for no other, unlike a single draw as the random control.
+    assert {*strongest.net.errors} == {"tiles", "seeds"}
+    alone = [one for one in found if one.camouflage in ("T-Ma", "R-Ma-1")]
+    (row, _) = result.summarise(count_outcomes(alone), [], generator=rng)
+    assert "draws" in row.random.net.errors
     # Two tiles differ, so of four swaps two are as uneven.
     assert strongest.p == 2 / 2**2
     # Draws alone were not chosen, so they say nothing of what optimisation adds.

@@ -24,7 +24,14 @@ from skyproof.files import write_beside
 from skyproof.ranges import Fraction, Match, Metres, Name, WholeNumber, limits_of
 from skyproof.results.statistics.contrasts import Group
 from skyproof.results.statistics.intervals import Sample
-from skyproof.results.statistics.repeats import DRAWS, GIVEN, SEARCHES, SEEDS, Repeat
+from skyproof.results.statistics.repeats import (
+    BESTS,
+    DRAWS,
+    GIVEN,
+    SEARCHES,
+    SEEDS,
+    Repeat,
+)
 
 MATCHES: tuple[Match, ...] = get_args(Match)
 
@@ -210,10 +217,18 @@ class OutcomeCounts:
         """Number of background tiles."""
         return len({tile for tile, _ in self.cells})
 
-    def group(self, keys: Sequence[Series], sample: Sample, of: Sequence[str] = ()) -> Group:
-        """Puts some series together, for the mean of their rates."""
+    def group(
+        self, keys: Sequence[Series], sample: Sample, of: Sequence[str] = (), *, given: bool = False
+    ) -> Group:
+        """Puts some series together, for the mean of their rates.
+
+        If they are `given`, the rates are of these camouflages and of no other draw or seed.
+        """
         counts = np.stack([self.series[key][:, 1:] for key in keys])
-        return Group(counts, sample, [[repeat_of(key.camouflage)] for key in keys], of)
+        repeats = [repeat_of(key.camouflage) for key in keys]
+        if given:
+            repeats = [replace(each, kind=GIVEN) for each in repeats]
+        return Group(counts, sample, [[each] for each in repeats], of)
 
     def of(self, renderer: str, match: str) -> "OutcomeCounts":
         """Gives the series of one renderer and match rule, on the cells that they show."""
@@ -235,7 +250,7 @@ def repeat_of(camouflage: str) -> Repeat:
     name = CamouflageName.read(camouflage)
     kind = DRAWS if name.random else SEEDS
     if name.choice is not None:
-        kind = GIVEN if name.choice == "plain" else SEARCHES
+        kind = {"plain": GIVEN, "best": BESTS, "search": SEARCHES}[name.choice]
     elif name.kind == "other" and not name.repeat:
         kind = GIVEN
     return Repeat(str(name.pooled), name.repeat, kind)

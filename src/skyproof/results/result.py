@@ -230,7 +230,7 @@ class _Table:
         self.repeats: dict[CamouflageName, list[str]] = defaultdict(list)
         for camouflage in dict.fromkeys(name for name, _ in self.series):
             self.repeats[CamouflageName.read(camouflage).pooled].append(camouflage)
-        self._groups: dict[tuple[tuple[str, ...], tuple[str, ...]], Group] = {}
+        self._groups: dict[tuple[tuple[str, ...], tuple[str, ...], bool], Group] = {}
 
     def rows(self) -> list[Result]:
         rows = []
@@ -290,16 +290,16 @@ class _Table:
         repeats = self.repeats.get(control, [])
         return [draw for draw in repeats if all((draw, d) in self.series for d in detectors)]
 
-    def group(self, camouflages: list[str], detectors: list[str]) -> Group:
+    def group(self, camouflages: list[str], detectors: list[str], *, given: bool = False) -> Group:
         """Puts series together, once for all results in which they stand."""
-        wanted = (tuple(camouflages), tuple(detectors))
+        wanted = (tuple(camouflages), tuple(detectors), given)
         if wanted not in self._groups:
             keys = [
                 self.key._replace(camouflage=camouflage, detector=detector)
                 for camouflage in camouflages
                 for detector in detectors
             ]
-            self._groups[wanted] = self.counts.group(keys, self.sample)
+            self._groups[wanted] = self.counts.group(keys, self.sample, given=given)
         return self._groups[wanted]
 
     def _mean(self, camouflages: list[str], detectors: list[str], field: str) -> float:
@@ -325,8 +325,11 @@ class _Table:
     def _beside(
         self, members: list[str], detectors: list[str], control: CamouflageName, drawn: list[str]
     ) -> Contrast:
-        """Sets a camouflage beside these draws of a control, without a test."""
-        group = self.group(drawn, detectors)
+        """Sets a camouflage beside these draws of a control, without a test.
+
+        A single draw is asked about as it is: there is no other that it stands for.
+        """
+        group = self.group(drawn, detectors, given=control.repeat != "")
         net = difference_interval([self.group(members, detectors)], [group])
         return Contrast(control, group.rate, len(drawn), net)
 

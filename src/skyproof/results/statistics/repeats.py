@@ -36,6 +36,10 @@ DRAWS = RepeatKind("draws", 0.09, 0.25, SEEDS)
 """Draws of a random control, the most for detectors of photographs (quick, ranges of ten). A draw
 acts much alike under two renderers."""
 
+BESTS = RepeatKind("best draws", 0.045, 0.125, SEEDS)
+"""Draws of a best-of-N control: half the spread of single draws, because the largest of 32 normal
+numbers has 0.49 of their standard deviation (Tippett 1925)."""
+
 SEARCHES = RepeatKind("searches", 0.14, 0.2, SEEDS)
 """Starts of the search for a chosen control. Pairs of R-Fc, R-PixFc and R-Pix differed by 4, 39 and
 28 points, and by 19 in the root mean square over four budgets (docs/attacks.md, commit 37a385d)."""
@@ -45,7 +49,8 @@ TRAININGS = RepeatKind("trainings", 0.057, 0.19)
 control on one training are paired, but need not fare alike."""
 
 GIVEN = RepeatKind("given", 0.0, 0.0)
-"""What would be the same again: a choice among all plain paints, or a camouflage of the user's."""
+"""What would be the same again: a choice among all plain paints, a camouflage of the user's, or a
+draw that is asked about as it is."""
 
 
 @dataclass(frozen=True)
