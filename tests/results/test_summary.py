@@ -195,7 +195,7 @@ def test_a_single_draw_that_hides_more_than_the_chosen_controls_is_the_strongest
     strongest = {str(row.camouflage): row for row in made}["T-Ma"].strongest
     assert (str(strongest.control), strongest.easr, strongest.draws) == ("R-Ma-1", 0.6, 1)
     assert strongest.net.estimate == pytest.approx(0.2)
-    # Asked about as it is, a draw stands for no other, unlike a single draw as the random control.
+    # This draw stands for itself. As the random control a single draw stands for all others, too.
     assert {*strongest.net.errors} == {"tiles", "seeds"}
     alone = [one for one in found if one.camouflage in ("T-Ma", "R-Ma-1")]
     (row, _) = result.summarise(count_outcomes(alone), [], generator=rng)

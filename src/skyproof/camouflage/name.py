@@ -340,12 +340,15 @@ def chosen_controls(
 ) -> dict[CamouflageName, int]:
     """Gives every chosen control of some attacks the steps of the longest attack beside it.
 
-    Several random searches are repeats, as starts move what one finds by 14 to 20 points.
+    Several searches are numbered as repeats. One start alone moves what a search finds by 14 to 20
+    points.
     """
     steps: dict[CamouflageName, int] = {}
     for name, count in attacks.items():
         plain, best, search = name.chosen_controls
-        repeats = [search.with_repeat(number) for number in range(searches)]
-        for control in (plain, best, *(repeats if searches > 1 else [search])):
+        searched = [search]
+        if searches > 1:
+            searched = [search.with_repeat(number) for number in range(searches)]
+        for control in (plain, best, *searched):
             steps[control] = max(count, steps.get(control, 0))
     return steps

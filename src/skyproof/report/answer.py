@@ -136,8 +136,9 @@ def _how(beside: Contrast) -> str:
     if control.choice is None:
         return str(control)
     if control.choice == "search":
-        many = f"the mean of {beside.draws} random searches, each"
-        return f"{many if beside.draws > 1 else 'a random search'} with as many images"
+        if beside.draws > 1:
+            return f"the mean of {beside.draws} random searches, each with as many images"
+        return "a random search with as many images"
     if control.choice == "best":
         return "the best of many random draws"
     even = "" if control.magnitude is None else "every vertex out"

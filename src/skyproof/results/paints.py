@@ -11,7 +11,8 @@ from skyproof.results.precheck import PAINTED, PrecheckRecord, Rate, rate_words
 from skyproof.results.result import MAIN_MATCH, MEAN, Contrast, Result
 from skyproof.results.statistics.intervals import Interval
 
-_WHOLE = PAINTED["paint_whole"]
+_WHOLE = ("paint_whole", "control")
+"""The kinds of change that cover glass and tyres, too."""
 
 
 def beside_paints(
@@ -32,7 +33,7 @@ def beside_paints(
     controls: dict[str, list[Rate]] = {}
     for rate in (each for name in names for each in prechecks[name].rates):
         words = _control_words(rate)
-        if words and not (texture.masked and words.endswith(_WHOLE)):
+        if words and not (texture.masked and rate.kind in _WHOLE):
             controls.setdefault(words, []).append(rate)
     every = [strongest]
     every += [_net(row.easr, *each) for each in controls.items() if len(each[1]) == len(names)]
@@ -46,7 +47,7 @@ def _control_words(rate: Rate) -> str:
     if rate.kind in PAINTED:
         return f"plain paint {rate_words(rate)} {PAINTED[rate.kind]}"
     pattern = rate.kind == "control" and not rate.name.startswith("R-")
-    return f"random {rate.name} {_WHOLE}" if pattern else ""
+    return f"random {rate.name} {PAINTED['paint_whole']}" if pattern else ""
 
 
 def _net(easr: Interval, control: str, rates: Sequence[Rate]) -> Contrast:

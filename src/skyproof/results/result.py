@@ -327,7 +327,7 @@ class _Table:
     ) -> Contrast:
         """Sets a camouflage beside these draws of a control, without a test.
 
-        A single draw is asked about as it is: there is no other that it stands for.
+        A numbered control is one draw that stands for itself, so other draws add no spread.
         """
         group = self.group(drawn, detectors, given=control.repeat != "")
         net = difference_interval([self.group(members, detectors)], [group])

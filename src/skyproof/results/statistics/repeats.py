@@ -50,7 +50,7 @@ control on one training are paired, but need not fare alike."""
 
 GIVEN = RepeatKind("given", 0.0, 0.0)
 """What would be the same again: a choice among all plain paints, a camouflage of the user's, or a
-draw that is asked about as it is."""
+single draw that stands for itself."""
 
 
 @dataclass(frozen=True)
