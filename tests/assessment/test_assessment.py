@@ -217,9 +217,10 @@ def test_every_attack_is_scored_beside_its_controls(folder):
     assert len(names) == len(set(names))
     for name in SUITE.names:
         assert str(name) in names
-        plain, best, search = name.chosen_controls
+        plain, best, search, *pattern = name.chosen_controls
+        assert bool(pattern) == (name.constraints is not None)
         searches = [str(search.with_repeat(number)) for number in range(SUITE.searches)]
-        assert {str(plain), str(best), *searches} <= set(names)
+        assert {str(plain), str(best), *searches, *map(str, pattern)} <= set(names)
         draws = [str(name.control.with_repeat(draw)) for draw in range(SUITE.draws)]
         assert set(draws) <= set(names)
 
@@ -283,7 +284,8 @@ def test_the_demo_takes_detectors_as_they_come(folder):
     its = subject(folder, suite=DEMO, gsd_m=0.125, imagery=(), labels=None)
     chosen = [
         *("R-U_plain", "R-U_best", *(f"R-U_search-{start}" for start in range(5))),
-        *("R-Ma_plain", "R-PixFcMa_best", *(f"R-PixFcMa_search-{start}" for start in range(5))),
+        *("R-U_pattern", "R-Ma_plain", "R-PixFcMa_best"),
+        *(*(f"R-PixFcMa_search-{start}" for start in range(5)), "R-Ma_pattern"),
     ]
     assert ids(its) == [
         *("ground/ground", "detector/mine", "vehicles/fleets", "scenes/test", "render/test"),
@@ -291,7 +293,7 @@ def test_the_demo_takes_detectors_as_they_come(folder):
         *("control/random", "scenes/empty", "render/empty"),
         *("score/test-0", "score/test-1", "report/report"),
     ]
-    assert scored(its)[:16] == ["T-U", "T-PixFcMa", *chosen]
+    assert scored(its)[:18] == ["T-U", "T-PixFcMa", *chosen]
     # A search has the steps of the attack that it stands beside, and each begins elsewhere.
     by_name = {step.name: step for step in assess_steps(its)}
     attack = by_name["T-PixFcMa"].settings
@@ -302,7 +304,7 @@ def test_the_demo_takes_detectors_as_they_come(folder):
     assert {each[1:] for each in searches} == {attack[1:]}
     assert (its.image_px, its.attack_px) == (160, 128)
     path_traced = replace(its, request=replace(its.request, cycles=True))
-    assert scored(path_traced)[-16:] == ["T-U", "T-PixFcMa", *chosen]
+    assert scored(path_traced)[-18:] == ["T-U", "T-PixFcMa", *chosen]
 
 
 def test_cycles_adds_steps_and_changes_none(folder):

@@ -167,13 +167,19 @@ def test_variants_and_repeats_are_added_in_their_places():
 @pytest.mark.parametrize(
     ("learnt", "expected"),
     [
-        ("T-U", ["R-U_plain", "R-U_best", "R-U_search"]),
-        ("T-PixFcMa_on_yolov5-2", ["R-Ma_plain", "R-PixFcMa_best", "R-PixFcMa_search"]),
+        ("T-U", ["R-U_plain", "R-U_best", "R-U_search", "R-U_pattern"]),
+        (
+            "T-PixFcMa_on_yolov5-2",
+            ["R-Ma_plain", "R-PixFcMa_best", "R-PixFcMa_search", "R-Ma_pattern"],
+        ),
         ("S-O@0.4-1", ["R-S-O@0.4_plain", "R-S-O@0.4_best", "R-S-O@0.4_search"]),
-        ("C-Lc-par@0.2", ["R-C-U@0.2_plain", "R-C-Lc@0.2_best", "R-C-Lc@0.2_search"]),
+        (
+            "C-Lc-par@0.2",
+            ["R-C-U@0.2_plain", "R-C-Lc@0.2_best", "R-C-Lc@0.2_search", "R-U_pattern"],
+        ),
     ],
 )
-def test_every_attack_has_three_chosen_controls(learnt, expected):
+def test_every_attack_has_chosen_controls(learnt, expected):
     name = CamouflageName.parse(learnt)
     assert [str(control) for control in name.chosen_controls] == expected
     assert all(CamouflageName.parse(text).choice for text in expected)

@@ -20,8 +20,8 @@ def flags(text: str) -> list[str]:
 
 # Controls that are chosen by the detectors and not learnt.
 CHOSEN = (
-    *("R-U_plain", "R-U_best", "R-U_search"),
-    *("R-Ma_plain", "R-PixFcMa_best", "R-PixFcMa_search"),
+    *("R-U_plain", "R-U_best", "R-U_search", "R-U_pattern"),
+    *("R-Ma_plain", "R-PixFcMa_best", "R-PixFcMa_search", "R-Ma_pattern"),
 )
 WORN = ("T-U", "T-PixFcMa", *CHOSEN, "R-U-0", "R-U-1", "R-PixFcMa-0", "R-PixFcMa-1")
 TINY = ["assess", "retinanet", "--device", "cpu"]

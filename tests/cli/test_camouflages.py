@@ -211,7 +211,7 @@ def every_candidate(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("every_candidate")
 def test_controls_are_chosen_on_the_attacks_scenes(tmp_path: Path, attack) -> None:
     made = tmp_path / "camouflages"
-    names = ["R-Ma_plain", "R-PixFc_best", "R-PixFc_search"]
+    names = ["R-Ma_plain", "R-PixFc_best", "R-PixFc_search", "R-Ma_pattern"]
     answer = attack(names, "--draws", 3)
     assert answer.code == 0, answer.err
     records = {
@@ -221,6 +221,8 @@ def test_controls_are_chosen_on_the_attacks_scenes(tmp_path: Path, attack) -> No
     assert len(paints["of"]) == len(paints["hidden"]) == 27
     best = records["R-PixFc_best"]["chosen"]
     assert best["of"] == ["R-PixFc-0", "R-PixFc-1", "R-PixFc-2"]
+    patterns = records["R-Ma_pattern"]["chosen"]["of"]
+    assert patterns == ["R-Ma_stripes-0", "R-Ma_blobs-0", "R-Ma_noise-0"]
     assert set(records["R-PixFc_search"]) >= {"attack", "weights", "discretisation"}
     assert "sign_test" not in records["R-PixFc_search"]
     before = bytes_of(made)

@@ -100,7 +100,7 @@ def test_the_cycles_column_has_more_of_the_headlines():
         "000": ("R-U-0", "R-Ma-0", "R-Ma-1", "R-Ma-2"),
         "001": (
             *("T-U-0", "T-Ma-0", "T-Ma-1", "T-Ma-2"),
-            *("R-Ma_plain", "R-Ma_best", "R-Ma_search"),
+            *("R-Ma_plain", "R-Ma_best", "R-Ma_search", "R-Ma_pattern"),
         ),
     }
     for wrong in ("R-U", "T-U-0", "T-U_on_yolov5"):
@@ -115,7 +115,7 @@ def test_controls_are_chosen_and_shapes_drawn_on_learnt_textures():
     own = jobs(**more, detectors=["retinanet", "faster_rcnn"], transfer=["T-Fc"])
     # One of each for all repeats, and none for attacks on some detectors alone.
     assert list(own.chosen) == [
-        *("R-U_plain", "R-Fc_best", "R-Fc_search"),
+        *("R-U_plain", "R-Fc_best", "R-Fc_search", "R-U_pattern"),
         *("R-S-O@0.4_plain", "R-S-O@0.4_best", "R-S-O@0.4_search"),
         *("R-C-U@0.4_plain", "R-C-Fc@0.4_best", "R-C-Fc@0.4_search"),
     ]

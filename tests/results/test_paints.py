@@ -1,7 +1,6 @@
 """Plain paints of the precheck beside an optimised camouflage."""
 
 import math
-from dataclasses import replace
 
 import pytest
 
@@ -76,19 +75,6 @@ def test_the_mean_takes_a_paint_that_every_detector_saw():
 )
 def test_other_rows_stay(row):
     assert beside_paints(row, {"a": record(paint_whole=0.3)}, ["a"]) is row
-
-
-def test_patterns_that_no_training_draws_are_controls_of_whole_textures():
-    drawn = [Rate("control", name, 2, Interval(0.45, 0.3, 0.6)) for name in ("stripes", "R-Fc")]
-    checked = {"a": replace(record(), rates=drawn)}
-    row = beside_paints(attack(), checked, ["a"]).strongest
-    assert (str(row.control), row.easr, row.draws) == (
-        "random stripes on the whole vehicle",
-        0.45,
-        2,
-    )
-    assert row.net.low == pytest.approx(0.05 - math.hypot(0.1, 0.15))
-    assert str(beside_paints(attack("T-PixMa"), checked, ["a"]).strongest.control) == "R-U_search"
 
 
 def test_other_changes_are_no_paints():

@@ -95,7 +95,7 @@ class Maker:
             "scenes": asdict(self.world.scenes),
             "world_sha256": self.world.digest,
             "seed": seed,
-            "draws": draws if name.choice == "best" else None,
+            "draws": None if name.choice == "plain" else draws,
             **_constraints(name, self.palette, self.camouflage),
             "texture_sha256": None,
         }

@@ -76,7 +76,7 @@ class AttackSettings:
     def images(self, name: CamouflageName, best_of: int) -> float:
         """Images per detector of an attack or chosen control; one without gradient counts 0.4."""
         if name.has_candidates:
-            candidates = best_of if name.choice == "best" else _PLAIN_PAINTS
+            candidates = _PLAIN_PAINTS if name.choice == "plain" else best_of
             return _WITHOUT_GRADIENT * _CHOICE_SCENES * candidates
         return self.steps * self.batch_size * (_WITHOUT_GRADIENT if name.choice else 1.0)
 

@@ -11,6 +11,7 @@ from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.displacement import DisplacementMap, even_shape
 from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.paint import LATTICE, plain_paint
+from skyproof.camouflage.patterns import PATTERNS, draw_pattern
 from skyproof.camouflage.settings import CamouflageSettings
 from skyproof.camouflage.texture import UniversalTexture
 from skyproof.errors import ConfigurationError
@@ -131,7 +132,21 @@ def draw_control(name: CamouflageName, *, seed: int, **given: Any) -> Camouflage
 def make_candidates(
     name: CamouflageName, draws: int, *, seed: int, **given: Any
 ) -> list[Camouflage]:
-    """Candidates of a chosen control: 27 paints and an even shape, or first random draws."""
+    """Candidates of a chosen control: 27 paints and an even shape, random draws, or patterns."""
+    if name.choice == "pattern":
+        if name.constraints is None or given["palette"] is None:
+            raise ConfigurationError(f"{name} expects colours; give them with --palette.")
+        patterns: list[Camouflage] = []
+        for number in range(draws):
+            repeat, kind = divmod(number, len(PATTERNS))
+            generator = generator_of(seed, "pattern", f"{PATTERNS[kind]}-{repeat}")
+            masked = name.constraints.masked
+            pattern = draw_pattern(
+                PATTERNS[kind], given["palette"], generator=generator, masked=masked
+            )
+            pattern.name = pattern.name.with_repeat(repeat)
+            patterns.append(pattern)
+        return patterns
     if name.choice == "best":
         names = [name.base.with_repeat(draw) for draw in range(draws)]
         return [draw_control(each, seed=seed, **given) for each in names]

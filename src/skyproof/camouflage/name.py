@@ -10,10 +10,11 @@ from typing import Literal, cast, get_args
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import is_name
 
-Choice = Literal["plain", "best", "search"]
+Choice = Literal["plain", "best", "search", "pattern"]
 CHOICES: tuple[Choice, ...] = get_args(Choice)
 """How a control is chosen without optimisation: the best plain paint (of 27, with every vertex out
-in a shape), the best of many random draws, or the result of a random search."""
+in a shape), the best of many random draws, the result of a random search, or the best of many
+patterns in ground colours that no training draws from."""
 
 IN_WEATHER = "weather"
 """The variant that was optimised in all weathers instead of clear days alone: "T-U_weather"."""
@@ -25,6 +26,10 @@ QUERIED = "asked"
 """The variant of a query attack on a detector that has gradients: "T-U_asked"."""
 
 _COPY = rf"(?:step\d+|relaxed|{QUERIED}\d+)"
+
+Colours = Literal["free", "learnt", "fixed"]
+_COLOURS: tuple[Colours, ...] = get_args(Colours)
+"""From the widest choice to the narrowest."""
 
 Kind = Literal["texture", "shape", "combination", "other"]
 Order = Literal["seq", "par"]
@@ -55,7 +60,7 @@ class TextureConstraints:
     """
 
     pixelised: bool = False
-    colours: Literal["free", "learnt", "fixed"] = "free"
+    colours: Colours = "free"
     masked: bool = False
 
     @property
@@ -89,9 +94,7 @@ class TextureConstraints:
                 f"Lc and Fc exclude each other, but {text!r} has both: colours are either learnt "
                 "(Lc) or fixed (Fc)."
             )
-        colours: Literal["free", "learnt", "fixed"] = (
-            "learnt" if "Lc" in words else "fixed" if "Fc" in words else "free"
-        )
+        colours: Colours = "learnt" if "Lc" in words else "fixed" if "Fc" in words else "free"
         constraints = cls(pixelised="Pix" in words, colours=colours, masked="Ma" in words)
         if constraints.name != text:
             raise ConfigurationError(
@@ -156,6 +159,11 @@ class CamouflageName:
             raise ConfigurationError(
                 f"{text[:200]} names the best plain paint, which only U (all over) and Ma (on "
                 "painted parts) have, as in R-U_plain, R-Ma_plain or R-C-Ma@0.2_plain."
+            )
+        if name.choice == "pattern" and (kind != "texture" or constraints != _plain(constraints)):
+            raise ConfigurationError(
+                f"{text[:200]} names the best pattern; give R-U_pattern (all over) or R-Ma_pattern "
+                "(on painted parts)."
             )
         if name.choice is not None and name.order is not None:
             raise ConfigurationError(
@@ -235,6 +243,8 @@ class CamouflageName:
             words = texture or f"changed shape ({shape})"
         if self.choice == "search":
             return f"random search: {words}"
+        if self.choice == "pattern":
+            return words.replace("free texture", "best of many random patterns in ground colours")
         if self.random:
             return f"{'best of many random draws' if self.choice else 'random'}: {words}"
         return words
@@ -286,7 +296,7 @@ class CamouflageName:
         """
         if self.constraints is None or self.order == "seq":
             return False
-        if self.constraints.colours == "fixed":
+        if self.constraints.colours == "fixed" or self.choice == "pattern":
             return True
         optimised = not self.random or self.choice == "search"
         return optimised and (self.constraints.colours == "learnt" or self.constraints.pixelised)
@@ -300,13 +310,30 @@ class CamouflageName:
         return replace(self.base, random=True, order=None)
 
     @property
-    def chosen_controls(self) -> tuple[CamouflageName, CamouflageName, CamouflageName]:
-        """Controls of `CHOICES`: "T-PixMa" to "R-Ma_plain", "R-PixMa_best", "R-PixMa_search"."""
+    def chosen_controls(self) -> tuple[CamouflageName, ...]:
+        """Controls of `CHOICES`: "R-Ma_plain", "R-PixMa_best", "R-PixMa_search", "R-Ma_pattern".
+
+        A shape has no pattern, and a combination that of its texture.
+        """
         random = self.control
         plain = replace(random, constraints=_plain(random.constraints))
-        variants = zip((plain, random, random), CHOICES, strict=True)
-        plain, best, search = (name.with_variant(choice) for name, choice in variants)
-        return plain, best, search
+        controls = [plain, random, random]
+        if plain.constraints is not None:
+            controls.append(replace(plain, kind="texture", magnitude=None))
+        return tuple(map(CamouflageName.with_variant, controls, CHOICES))
+
+    def meets(self, other: CamouflageName) -> bool:
+        """Whether every camouflage of this name is one of the other, too: "T-PixFcMa" of "T-Ma"."""
+        own, wider = self.constraints, other.constraints
+        if own is None or wider is None:
+            same = own is wider
+        else:
+            same = (
+                own.pixelised >= wider.pixelised
+                and own.masked >= wider.masked
+                and _COLOURS.index(own.colours) >= _COLOURS.index(wider.colours)
+            )
+        return same and (self.magnitude or 0) <= (other.magnitude or 0)
 
     @property
     def random_shape(self) -> CamouflageName | None:
@@ -345,10 +372,9 @@ def chosen_controls(
     """
     steps: dict[CamouflageName, int] = {}
     for name, count in attacks.items():
-        plain, best, search = name.chosen_controls
-        searched = [search]
-        if searches > 1:
-            searched = [search.with_repeat(number) for number in range(searches)]
-        for control in (plain, best, *searched):
-            steps[control] = max(count, steps.get(control, 0))
+        for control in name.chosen_controls:
+            several = control.choice == "search" and searches > 1
+            repeats = map(control.with_repeat, range(searches)) if several else [control]
+            for repeat in repeats:
+                steps[repeat] = max(count, steps.get(repeat, 0))
     return steps

@@ -101,13 +101,18 @@ PATTERNS = tuple(_PATTERNS)
 
 
 def draw_pattern(
-    kind: str, palette: Float[Tensor, "K 3"], *, generator: torch.Generator
+    kind: str,
+    palette: Float[Tensor, "K 3"],
+    *,
+    generator: torch.Generator,
+    masked: bool = False,
 ) -> UniversalTexture:
-    """Draws a pattern of `PATTERNS` over the whole vehicle, in a palette's sRGB colours."""
+    """Draws a pattern of `PATTERNS` over vehicle or painted panels, in a palette's sRGB colours."""
     rng = np.random.default_rng(int(torch.randint(2**62, (1,), generator=generator)))
     number = torch.from_numpy(_PATTERNS[kind](rng, len(palette)).copy())
     shuffled = palette[torch.from_numpy(rng.permutation(len(palette)))]
-    name = CamouflageName("texture", TextureConstraints(), random=True, variant=kind)
+    constraints = TextureConstraints(masked=masked)
+    name = CamouflageName("texture", constraints, random=True, variant=kind)
     pattern = UniversalTexture(name, generator=torch.Generator())
     with torch.no_grad():
         pattern.cells.copy_(shuffled[number].permute(2, 0, 1))

@@ -37,8 +37,8 @@ class Attack:
     (painted parts), such as T-PixFcMa. Shapes: S-O@0.4 has magnitude 0.4. Combinations:
     C-Fc-seq@0.2, C-Fc-par@0.2. Random controls: R-PixFcMa, R-S-O@0.4, R-C-Fc@0.2; they need no
     detectors and scenes. Stronger controls: R-Ma_plain (best of 27 paints), R-PixFcMa_best (best of
-    32 draws), R-PixFcMa_search (random search). "-1" at the end numbers a repeat. A stopped attack
-    resumes with the same command.
+    32 draws), R-PixFcMa_search (random search), R-Ma_pattern (best of 32 patterns, such as
+    stripes). "-1" at the end numbers a repeat. A stopped attack resumes with the same command.
 
     Attributes:
         names: names of the camouflages.

@@ -13,6 +13,7 @@ from skyproof.results.precheck import findings
 from skyproof.results.result import MEAN, Result
 from skyproof.results.results import Results
 from skyproof.results.stored import AttackRecord
+from skyproof.results.weak import weak_attacks
 
 _MUCH_BY_CHANCE = 0.1
 _STRONGEST = 2
@@ -75,6 +76,7 @@ class Limits:
     held_out: bool  # whether other detectors were scored
     by_paper: Sequence[str]  # camouflages optimised by the paper's method
     growing: Sequence[str]  # camouflages with a repeat that was still getting stronger
+    weak: Sequence[str]  # attacks that hide less than something they could have found
     slim: Sequence[str]  # detectors that are reduced versions of the published networks
 
 
@@ -85,6 +87,7 @@ def limits(results: Results, every: Sequence[Result]) -> Limits:
         any(name.variant.startswith(("on_", "without_")) for name in results.names),
         _recorded(results, every, lambda record: record.method == "paper"),
         _recorded(results, every, _growing),
+        weak_attacks(results),
         [words.detector_name(name) for name, card in results.cards.items() if card.size == "slim"],
     )
 

@@ -141,6 +141,8 @@ def _how(beside: Contrast) -> str:
         return "a random search with as many images"
     if control.choice == "best":
         return "the best of many random draws"
+    if control.choice == "pattern":
+        return "the best of many random patterns"
     even = "" if control.magnitude is None else "every vertex out"
     paint = "" if control.constraints is None else "the best plain paint"
     return " and ".join(part for part in (paint, even) if part)

@@ -23,6 +23,7 @@ from skyproof.reproduction.reproduction import Reproduction
 from skyproof.results.operating_points import alarms_in_words
 from skyproof.results.result import LENIENT_MATCH
 from skyproof.results.stored import Discretisation
+from skyproof.results.weak import weak_attacks
 from skyproof.words import probability
 
 _SURE = 0.05
@@ -44,6 +45,7 @@ def trust_part(run: Reproduction, rows: Sequence[Mapping[str, Any]]) -> Topic:
         *_signs(signs),
         *_ladder(ladder),
         *_convergence(convergence),
+        *_weak(weak_attacks(run.results)),
         *_gap(gap),
     )
 
@@ -234,6 +236,15 @@ def _convergence(rows: Sequence[Mapping[str, Any]]) -> list[Block]:
         ],
     )
     return [heading, text, grid]
+
+
+def _weak(attacks: Sequence[str]) -> list[Block]:
+    if not attacks:
+        return []
+    return [
+        Heading("Weak attacks", 3),
+        f"Beaten by what they could have found: {'; '.join(attacks)}.",
+    ]
 
 
 def _gap_rows(run: Reproduction) -> list[dict[str, Any]]:

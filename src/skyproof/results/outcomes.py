@@ -250,7 +250,7 @@ def repeat_of(camouflage: str) -> Repeat:
     name = CamouflageName.read(camouflage)
     kind = DRAWS if name.random else SEEDS
     if name.choice is not None:
-        kind = {"plain": GIVEN, "best": BESTS, "search": SEARCHES}[name.choice]
+        kind = {"plain": GIVEN, "search": SEARCHES}.get(name.choice, BESTS)
     elif name.kind == "other" and not name.repeat:
         kind = GIVEN
     return Repeat(str(name.pooled), name.repeat, kind)

@@ -1,4 +1,4 @@
-"""Plain paints and random patterns of the precheck, as controls beside optimised textures."""
+"""Plain paints of the precheck, as controls beside optimised textures."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -11,19 +11,16 @@ from skyproof.results.precheck import PAINTED, PrecheckRecord, Rate, rate_words
 from skyproof.results.result import MAIN_MATCH, MEAN, Contrast, Result
 from skyproof.results.statistics.intervals import Interval
 
-_WHOLE = ("paint_whole", "control")
-"""The kinds of change that cover glass and tyres, too."""
-
 
 def beside_paints(
     row: Result, prechecks: Mapping[str, PrecheckRecord], detectors: Sequence[str]
 ) -> Result:
-    """Lets paints and patterns of the detectors' prechecks enter the strongest control of a row.
+    """Lets the paints of the detectors' prechecks enter the strongest control of a row.
 
     They are measured on the renderer by the main rule, so other rows stay, and those without a
-    chosen control. A masked texture has the paints on body panels, another one all of them and the
-    patterns that no training draws, such as stripes. Their scenes are the first of the test, so the
-    limits count both rates as independent; there is no test.
+    chosen control. A masked texture has the paints on body panels, another one all of them. Their
+    scenes are the first of the test, so the limits count both rates as independent; there is no
+    test.
     """
     strongest, texture = row.strongest, row.camouflage.constraints
     names = detectors if row.detector == MEAN else [row.detector]
@@ -32,22 +29,14 @@ def beside_paints(
         return row
     controls: dict[str, list[Rate]] = {}
     for rate in (each for name in names for each in prechecks[name].rates):
-        words = _control_words(rate)
-        if words and not (texture.masked and rate.kind in _WHOLE):
+        if rate.kind in PAINTED and not (texture.masked and rate.kind == "paint_whole"):
+            words = f"plain paint {rate_words(rate)} {PAINTED[rate.kind]}"
             controls.setdefault(words, []).append(rate)
     every = [strongest]
     every += [_net(row.easr, *each) for each in controls.items() if len(each[1]) == len(names)]
     best = max(every, key=lambda each: each.easr)
     low = float(np.min([each.net.low for each in every]))
     return replace(row, strongest=replace(best, net=replace(best.net, low=low), p=strongest.p))
-
-
-def _control_words(rate: Rate) -> str:
-    """Says what vehicles wear and where; empty for random controls, which the test draws, too."""
-    if rate.kind in PAINTED:
-        return f"plain paint {rate_words(rate)} {PAINTED[rate.kind]}"
-    pattern = rate.kind == "control" and not rate.name.startswith("R-")
-    return f"random {rate.name} {PAINTED['paint_whole']}" if pattern else ""
 
 
 def _net(easr: Interval, control: str, rates: Sequence[Rate]) -> Contrast:

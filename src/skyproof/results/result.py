@@ -74,11 +74,10 @@ class Result:
         easr, asr, er: overall success, vehicles lost and vehicles gained.
         apd: drop of the average precision.
         random: contrast with the random control; None without one and for controls.
-        strongest: contrast with the strongest of the plain-paint, best-of-N and search controls,
-            of all draws of the random control and of the precheck's paints and patterns
-            (`beside_paints`). The low limit is the lowest against any of them, so a claim holds
-            against all; the p is the largest, but for those of the precheck. None without a chosen
-            control and for controls.
+        strongest: contrast with the strongest of the chosen controls (`CHOICES`), of all draws of
+            the random control and of the precheck's paints (`beside_paints`). The low limit is the
+            lowest against any of them, so a claim holds against all; the p is the largest, but for
+            the paints. None without a chosen control and for controls.
         drawn_shape: contrast of a combination with its own texture under random shapes.
         no_camouflage_p, no_camouflage_p_holm: McNemar's exact test against no camouflage, which
             random patterns can pass as well; None for means and controls.

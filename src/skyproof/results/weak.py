@@ -1,0 +1,44 @@
+"""Weak attacks: those that something within their own constraints beats."""
+
+from skyproof.camouflage.name import CamouflageName
+from skyproof.results.result import MAIN_MATCH, Result
+from skyproof.results.results import Results
+from skyproof.words import percent
+
+
+def weak_attacks(results: Results) -> list[str]:
+    """Says which attacks hide less than another camouflage that meets their constraints.
+
+    That may be an attack under more constraints, a chosen control or a random draw. The attack
+    could have found it, so it was optimised too little or chance favours the other. Variants of an
+    attack are left out. Rates are those of the mean over detectors, by the main rule.
+    """
+    told = []
+    for row in results.quoted:
+        name = row.camouflage
+        rates = {str(other.camouflage): other.easr.estimate for other in _within(row, results)}
+        if row.strongest is not None and _meets(row.strongest.control, name):
+            rates[str(row.strongest.control)] = row.strongest.easr
+        best = max(rates, key=lambda other: rates[other], default=None)
+        if not name.variant and best is not None and rates[best] > row.easr.estimate:
+            told.append(
+                f"{name} hides {percent(row.easr.estimate)} and {best}, which it could have found, "
+                f"{percent(rates[best])}"
+            )
+    return told
+
+
+def _within(row: Result, results: Results) -> list[Result]:
+    """The rows beside one, of camouflages that meet its constraints."""
+    return [
+        other
+        for other in results.rows
+        if (other.renderer, other.detector, other.match) == (row.renderer, row.detector, MAIN_MATCH)
+        and other.camouflage != row.camouflage
+        and _meets(other.camouflage, row.camouflage)
+    ]
+
+
+def _meets(other: CamouflageName, name: CamouflageName) -> bool:
+    known = "other" not in (other.kind, name.kind)
+    return known and (not other.variant or other.choice is not None) and other.meets(name)
