@@ -165,6 +165,10 @@ def test_the_score_on_the_target_is_the_best_within_a_metre(world):
     # 7 px of 12.5 cm are within 1 m, 20 px are not; the last row is padding.
     assert target_scores(Fixed(), frames, 0.125).tolist() == [0.5]
     assert target_scores(Fixed(), frames, 0.2).tolist() == pytest.approx([0.3])
+    # The lenient rule also takes a centre in the box, which here is larger than a metre.
+    assert target_scores(Fixed(), frames, 0.2, "centre_in_box").tolist() == pytest.approx([0.5])
+    wide = dataclasses.replace(frames, boxes=box + torch.tensor([-20.0, -20, 20, 20]))
+    assert target_scores(Fixed(), wide, 0.125, "centre_in_box").tolist() == pytest.approx([0.9])
 
 
 @pytest.mark.parametrize(

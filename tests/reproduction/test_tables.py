@@ -195,6 +195,8 @@ def test_an_attack_that_still_gets_stronger_is_named(folder):
     close(found["T-U-1"]["added"], 5)
     assert "In 4 of 5 attacks the second half of the steps hid at most 2 points more" in page
     assert "| T-U-1 | 30 | 40.0 | 60 | 45.0 |" in page
+    # Of two starts, the one that hid more on its own scenes is the best.
+    close(table(folder, "textures")["T-U"]["best_repeat_easr"], 100)
     report = (folder / "report.html").read_text()
     assert "T-U: the second half of the steps still added over 2 points" in report
 

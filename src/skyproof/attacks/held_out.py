@@ -15,7 +15,9 @@ from skyproof.camouflage.camouflage import Camouflage
 from skyproof.detectors.detector import Detector, TrainableDetector
 from skyproof.detectors.inference import device_of
 from skyproof.errors import ConfigurationError
+from skyproof.ranges import Match
 from skyproof.render.dataset import AT_A_TIME, in_threads
+from skyproof.results.result import MAIN_MATCH
 from skyproof.scenes.scene import Scene
 
 BATCHES = 8
@@ -28,8 +30,8 @@ _Result = TypeVar("_Result")
 class Hidden(NamedTuple):
     """How well a camouflage hides vehicles; the greater of two hides more.
 
-    Mean EASR of the detectors comes first. A vehicle is found if a candidate at the threshold has
-    its centre within 1 m; other rates use detections, after suppression. Silence is minus the mean
+    Mean EASR of the detectors comes first. A vehicle is found if a candidate at the threshold finds
+    it by the match rule; other rates use detections, after suppression. Silence is minus the mean
     best score on the target, which decides between equals.
     """
 
@@ -48,6 +50,7 @@ class HeldOut:
     world: World
     seed: int
     batch_size: int
+    match: Match = MAIN_MATCH
 
     @cached_property
     def identity(self) -> dict[str, Any]:
@@ -100,7 +103,7 @@ class HeldOut:
         @torch.no_grad()
         def show(scenes: list[Scene]) -> list[Tensor]:
             frames = self.world.frames(camouflage, scenes, device)
-            return [target_scores(each, frames, gsd_m) for each in self.detectors]
+            return [target_scores(each, frames, gsd_m, self.match) for each in self.detectors]
 
         found = at_a_time(show, self._batches[:batches], self.detectors)
         return {

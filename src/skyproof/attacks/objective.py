@@ -11,7 +11,9 @@ from torch import Tensor
 from skyproof.attacks.settings import Method
 from skyproof.detectors.detector import Candidates, Detector, TrainableDetector
 from skyproof.detectors.matching import CENTRE_DISTANCE_M
+from skyproof.ranges import Match
 from skyproof.render.frames import Frames
+from skyproof.results.result import LENIENT_MATCH, MAIN_MATCH
 from skyproof.storage import weights_digest
 
 _FOOLED = 0.03
@@ -101,14 +103,23 @@ def balanced_weights(losses: Mapping[str, Sequence[float]]) -> dict[str, float]:
 
 
 @torch.no_grad()
-def target_scores(detector: Detector, frames: Frames, gsd_m: float) -> Float[Tensor, " B"]:
-    """Highest score (a black box: of detections) within 1 m of the image's vehicle; else 0."""
+def target_scores(
+    detector: Detector, frames: Frames, gsd_m: float, match: Match = MAIN_MATCH
+) -> Float[Tensor, " B"]:
+    """Highest score (a black box: of detections) that finds the image's vehicle by a rule; else 0.
+
+    By the main rule its centre is within 1 m, by the lenient rule there or in the vehicle's box.
+    """
     candidates = _candidates(detector, frames.image.detach())
     centres = (frames.boxes[:, :2] + frames.boxes[:, 2:]) / 2
     candidate_centres = (candidates.boxes[..., :2] + candidates.boxes[..., 2:]) / 2
     distance_m = (candidate_centres - centres[:, None]).norm(dim=-1) * gsd_m
-    near = candidates.valid & (distance_m <= CENTRE_DISTANCE_M)
-    return candidates.scores.masked_fill(~near, 0.0).amax(1)
+    near = distance_m <= CENTRE_DISTANCE_M
+    if match == LENIENT_MATCH:
+        boxes = frames.boxes[:, None]
+        inside = (candidate_centres >= boxes[..., :2]) & (candidate_centres <= boxes[..., 2:])
+        near |= inside.all(dim=-1)
+    return candidates.scores.masked_fill(~(candidates.valid & near), 0.0).amax(1)
 
 
 def _candidates(detector: Detector, images: Float[Tensor, "B 3 H W"]) -> Candidates:

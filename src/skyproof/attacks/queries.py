@@ -33,6 +33,7 @@ from skyproof.files import alone
 from skyproof.loop import Loop, refuse_other
 from skyproof.randomness import generator_of
 from skyproof.ranges import Fraction
+from skyproof.results.result import LENIENT_MATCH
 from skyproof.storage import weights_digest
 
 _OTHER = "a search with other settings or from another start"
@@ -155,11 +156,12 @@ def query_attack(
 ) -> Camouflage:
     """Optimises a camouflage by a detector's detections alone, within a budget of images.
 
-    It lowers the mean over vehicles of the best score within 1 m of the vehicle (0 without a
-    detection). The candidates of one generation share their scenes. A stopped attack continues
-    from its last generation: detections are stored, and only those of the generation or the last
-    comparison in which it stopped are queried again, beyond the budget. At the end start and result
-    are compared on scenes of no candidate, and the better one stays. These images count, too.
+    It lowers the mean over vehicles of the best score that finds the vehicle by the lenient rule (0
+    without a detection), because a box that is merely moved does not hide it. The candidates of one
+    generation share their scenes. A stopped attack continues from its last generation: detections
+    are stored, and only those of the generation or the last comparison in which it stopped are
+    queried again, beyond the budget. At the end start and result are compared on scenes of no
+    candidate, and the better one stays. These images count, too.
 
     Args:
         start: finished camouflage that was optimised on other detectors, or a random draw for a
@@ -187,6 +189,7 @@ def query_attack(
         "start_sha256": weights_digest(start),
         "detector": detector.name,
         "threshold": detector.threshold,
+        "match": LENIENT_MATCH,
         "settings": asdict(settings),
         "scenes": asdict(world.scenes),
     }
@@ -196,7 +199,7 @@ def query_attack(
     few_colours = isinstance(start, UniversalTexture) and start.restricted
     changes = few_colours or start.name.choice == "search"
     search = (_RandomChanges if changes else _Evolution)(start, settings.seed)
-    held_out = HeldOut([detector], world, settings.seed, settings.batch_size)
+    held_out = HeldOut([detector], world, settings.seed, settings.batch_size, LENIENT_MATCH)
     # Without camouflage, with the start and with the result; a control has no start to return to.
     compared = 0 if start.name.choice else 3 * held_out.scenes()
     each = search.candidates * settings.batch_size
@@ -282,6 +285,7 @@ def _try(
 
     @torch.no_grad()
     def show(candidate: Camouflage) -> float:
-        return float(target_scores(detector, world.frames(candidate, scenes), gsd_m).mean())
+        frames = world.frames(candidate, scenes)
+        return float(target_scores(detector, frames, gsd_m, LENIENT_MATCH).mean())
 
     return at_a_time(show, candidates, [detector])
