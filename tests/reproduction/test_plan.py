@@ -606,7 +606,7 @@ def test_presets_by_name_or_file(tmp_path):
     own.write_text(json.dumps({**TINY, "seed": 1} | {"draws": 1}).replace('"seed"', '"sed"'))
     with pytest.raises(ConfigurationError, match="no field 'sed'"):
         read_preset(str(own))
-    with pytest.raises(ConfigurationError, match="quick, paper, reference"):
+    with pytest.raises(ConfigurationError, match="quick, overnight, paper, reference"):
         read_preset("quik")
 
 
