@@ -102,6 +102,20 @@ def test_answers_alone_find_something_better(tmp_path: Path, world: World, name:
         assert asked["judged"]["scenes"] == 16
 
 
+def test_a_search_from_nothing_that_found_more_is_taken(tmp_path: Path, world: World) -> None:
+    black = finished("R-Pix_search")
+    with torch.no_grad():
+        black.cells.zero_()
+    start, detector = finished("T-Pix"), judge(Answering())
+    found = query_attack(start, detector, world, FEW, tmp_path / "T-Pix", rival=black)
+    assert str(found.name) == "T-Pix"
+    assert not found.bytes().any()
+    asked = read_record(tmp_path / "T-Pix")["queries"]["judged"]
+    assert asked["rival_hides"] >= max(asked["hides"], asked["start_hides"])
+    with pytest.raises(RunFolderError):
+        query_attack(start, detector, world, FEW, tmp_path / "T-Pix")
+
+
 def test_a_search_is_never_a_step_back(tmp_path: Path, world: World) -> None:
     # Nothing is darker than black: whatever is tried, the start stays.
     black = finished("T-Pix")

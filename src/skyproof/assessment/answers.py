@@ -26,7 +26,7 @@ class _Answer(Struct, frozen=True):
     easr: float | None
     easr_low: float | None
     easr_high: float | None
-    net_easr: float | None
+    net_strongest_control_easr: float | None
 
 
 class _WorstAnswer(Struct, frozen=True):
@@ -71,7 +71,8 @@ def say_answers(layout: Layout, camouflages: Collection[str]) -> None:
         say(
             f"  {detector_name(row.detector):<12} {row.camouflage} {hides(row.easr)}"
             f"{where} (95 % interval {interval(row.easr_low, row.easr_high)}), "
-            f"net of random controls {percent(row.net_easr)}"
+            f"net of the strongest control "
+            f"{percent(row.net_strongest_control_easr)}"
             + ("" if half is None else f", by the lenient rule {percent(half)}")
         )
     for worst in answers.worst_cases:

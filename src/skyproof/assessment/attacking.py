@@ -26,15 +26,16 @@ _QUERY_S = 0.02
 def attacks(its: Subject) -> Iterator[Step]:
     """The steps that optimise camouflages and choose controls."""
     suite, boxed = its.suite, its.black_box is not None
+    chosen = suite.chosen_controls(its.seed, 1 if boxed else suite.searches)
+    # A query attack is compared with the search from nothing at its end.
+    asked = [name for name in chosen if boxed and name.choice == "search"]
+    for name in asked:
+        yield query(its, name)
     for name in suite.names:
         if boxed:
             yield from _transferred(its, name, name)
         else:
             yield attack(its, name, suite.attack(name, its.seed))
-    chosen = suite.chosen_controls(its.seed, 1 if boxed else suite.searches)
-    asked = [name for name in chosen if boxed and name.choice == "search"]
-    for name in asked:
-        yield query(its, name)
     for name, settings in chosen.items():
         if name not in asked:
             yield attack(its, name, settings)
@@ -49,7 +50,8 @@ def _transferred(its: Subject, name: CamouflageName, asked: CamouflageName) -> I
     """An attack on the reference detectors, and the query attack `asked` that starts from it."""
     transfer = name.with_variant(TRANSFER)
     yield attack(its, transfer, its.suite.attack(name, its.seed), transfer=True)
-    yield query(its, asked, start=transfer)
+    rival = name.control.with_variant("search") if its.black_box is not None else None
+    yield query(its, asked, start=transfer, rival=rival)
 
 
 def attack(
@@ -80,7 +82,12 @@ def attack(
     )
 
 
-def query(its: Subject, name: CamouflageName, start: CamouflageName | None = None) -> Step:
+def query(
+    its: Subject,
+    name: CamouflageName,
+    start: CamouflageName | None = None,
+    rival: CamouflageName | None = None,
+) -> Step:
     """Makes a query attack; it starts from a finished camouflage, or from a random draw."""
     folder = its.layout.camouflage(str(name))
     settings = replace(its.suite.queries, seed=its.seed)
@@ -93,16 +100,19 @@ def query(its: Subject, name: CamouflageName, start: CamouflageName | None = Non
             begun = load_camouflage(its.layout.camouflage(str(start)))
             begun.name = name
         begun.to(its.device)
+        other = None
+        if rival is not None:
+            other = load_camouflage(its.layout.camouflage(str(rival))).to(its.device)
         (detector,) = its.detectors
         with progress_bar(f"query attack {name}") as update:
-            query_attack(begun, detector, its.world, settings, folder, on_step=update)
+            query_attack(begun, detector, its.world, settings, folder, rival=other, on_step=update)
 
     return Step(
         "ask",
         str(name),
         (folder / "camouflage.json",),
         work,
-        (settings, str(start), its.names, its.attack_px),
+        (settings, str(start), str(rival), its.names, its.attack_px),
         growing=True,
         effort_s=START_S + _QUERY_S * settings.images,
     )

@@ -152,6 +152,7 @@ def query_attack(
     settings: QuerySettings,
     folder: str | Path,
     *,
+    rival: Camouflage | None = None,
     on_step: Callable[[int, int], None] | None = None,
 ) -> Camouflage:
     """Optimises a camouflage by a detector's detections alone, within a budget of images.
@@ -160,8 +161,8 @@ def query_attack(
     without a detection), because a box that is merely moved does not hide it. The candidates of one
     generation share their scenes. A stopped attack continues from its last generation: detections
     are stored, and only those of the generation or the last comparison in which it stopped are
-    queried again, beyond the budget. At the end start and result are compared on scenes of no
-    candidate, and the better one stays. These images count, too.
+    queried again, beyond the budget. At the end start, result and rival are compared on
+    scenes of no candidate, and the best one stays. These images count, too.
 
     Args:
         start: finished camouflage that was optimised on other detectors, or a random draw for a
@@ -171,6 +172,7 @@ def query_attack(
         settings: budget, batch and seed.
         folder: gets `steps.jsonl`, and at the end the camouflage with the number of images in its
             record.
+        rival: finished search control, which began from nothing and may have found more.
         on_step: called with (images shown, images in all).
 
     Returns:
@@ -192,6 +194,7 @@ def query_attack(
         "match": LENIENT_MATCH,
         "settings": asdict(settings),
         "scenes": asdict(world.scenes),
+        "rival_sha256": None if rival is None else weights_digest(rival),
     }
     if (folder / "camouflage.json").exists():
         return _finished(folder, identity)
@@ -200,8 +203,9 @@ def query_attack(
     changes = few_colours or start.name.choice == "search"
     search = (_RandomChanges if changes else _Evolution)(start, settings.seed)
     held_out = HeldOut([detector], world, settings.seed, settings.batch_size, LENIENT_MATCH)
-    # Without camouflage, with the start and with the result; a control has no start to return to.
-    compared = 0 if start.name.choice else 3 * held_out.scenes()
+    # Without camouflage and in each; a control has no start to return to.
+    others = [each for each in (start, rival) if each is not None]
+    compared = 0 if start.name.choice else (2 + len(others)) * held_out.scenes()
     each = search.candidates * settings.batch_size
     generations = (settings.images - compared) // each
     if generations < 1:
@@ -244,13 +248,16 @@ def query_attack(
         found.name = start.name
         queries: dict[str, Any] = {**identity, "images": total}
         if compared:
-            before, after = map(held_out.measure, (start, found))
+            measured = [held_out.measure(each) for each in (*others, found)]
             queries["judged"] = {
                 "scenes": held_out.scenes(),
-                "start_hides": before.hidden,
-                "hides": after.hidden,
+                "start_hides": measured[0].hidden,
+                "rival_hides": measured[1].hidden if rival is not None else None,
+                "hides": measured[-1].hidden,
             }
-            found = found if after > before else start
+            # Of equal ones the first, which is the start.
+            found = [*others, found][measured.index(max(measured))]
+            found.name = start.name
         save_camouflage(folder, found, {"queries": queries})
         loop.forget()
     return found
