@@ -80,6 +80,20 @@ def test_what_is_hidden_from_each_judge(folder):
     assert (mean.detector, mean.easr.estimate) == ("mean", pytest.approx(0.8))
 
 
+def test_an_attack_that_works_only_at_home_says_so_in_the_first_column(folder):
+    alike = {"T-U-0": 0.2, "R-U-0": 0.2, "S-O@0.4-0": 0.9, "T-Fc-0": 0.8, "R-Fc-0": 0.2}
+    add_judges(folder, "real", alike)
+    write_reproduction_report(folder)
+    with open(folder / "tables" / "textures.csv", newline="", encoding="utf-8") as file:
+        rows = {row["attack"]: row for row in csv.DictReader(file)}
+    assert (rows["T-U"]["only_at_home"], rows["T-Fc"]["only_at_home"]) == ("yes", "no")
+    assert float(rows["T-U"]["outside_easr_min"]) == pytest.approx(20)
+    assert float(rows["T-Fc"]["outside_easr_max"]) == pytest.approx(80)
+    page = (folder / "tables" / "README.md").read_text()
+    assert "| T-U (only at home) |" in page
+    assert "| T-Fc |" in page
+
+
 def test_nothing_is_said_beside_fewer_chosen_controls_than_the_renderer_has(folder):
     add_judges(folder, "real", RATES)
     own = folder / "judges" / "real" / "scores"

@@ -1,5 +1,6 @@
 """The paper's two tables, of textures and of shapes and combinations, and its practicality."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -50,7 +51,9 @@ def main_part(run: Reproduction) -> Topic:
         "strongest control found without optimisation (a plain paint or every vertex out, the best "
         "of N draws, a random search, any single draw, any paint of the precheck), and “net of it” "
         "the EASR minus that. “at 100/km²” are rates at thresholds with as many false alarms per "
-        "km² of empty ground, else at the frozen thresholds. “paper” is what the "
+        "km² of empty ground, else at the frozen thresholds. “held-out detectors” is the range of "
+        "EASR by detectors that no attack used, at 100/km² where they reach it; an attack that "
+        "surely beats its controls on none of them works “only at home”. “paper” is what the "
         "paper reports for its own renderer († only in its source’s comments)."
         + (explained if run.cycles else ""),
         Heading("Textures"),
@@ -73,7 +76,7 @@ def main_part(run: Reproduction) -> Topic:
 def texture_table(rows: Sequence[Mapping[str, Any]]) -> TextTable:
     """Gives the paper's first table."""
     signs: Column = ("practicality", lambda row: sign(row["practicality"]))
-    return TextTable.of(rows, [("attack", "attack"), signs, *_columns(rows)])
+    return TextTable.of(rows, [("attack", _attack), signs, *_columns(rows)])
 
 
 def shape_table(rows: Sequence[Mapping[str, Any]]) -> TextTable:
@@ -81,7 +84,7 @@ def shape_table(rows: Sequence[Mapping[str, Any]]) -> TextTable:
     return TextTable.of(
         rows,
         [
-            ("attack", "attack"),
+            ("attack", _attack),
             ("PM*", _magnitude("pm_star")),
             ("chosen", value("pm_star_share", 0)),
             ("Pr*", lambda row: f"{row['pr_star']:.1f}"),
@@ -111,6 +114,14 @@ def _learnt_shapes(shapes: Sequence[Mapping[str, Any]]) -> list[Block]:
     return ["What a learnt shape adds to the texture under it:", grid]
 
 
+def _attack(row: Mapping[str, Any]) -> str:
+    return f"{row['attack']} (only at home)" if row.get("only_at_home") else row["attack"]
+
+
+def _outside_range(row: Mapping[str, Any]) -> str:
+    return span(row.get("outside_easr_min"), row.get("outside_easr_max"))
+
+
 def _columns(rows: Sequence[Mapping[str, Any]]) -> list[Column]:
     """The columns that both tables have."""
     columns: list[Column] = [
@@ -124,6 +135,8 @@ def _columns(rows: Sequence[Mapping[str, Any]]) -> list[Column]:
         *equal_alarm_columns(rows),
         ("APD", value("apd")),
     ]
+    if any("outside_easr_min" in row for row in rows):
+        columns.append(("held-out detectors", _outside_range))
     on_cycles = any("cycles_easr" in row for row in rows)
     if on_cycles:
         columns += [
@@ -175,6 +188,7 @@ def _texture_rows(run: Reproduction) -> list[dict[str, Any]]:
                 "best_repeat_easr": _best_repeat(run, name),
                 **at_equal_alarms(run.results, run.row(name)),
                 **_corrected_p(run, name),
+                **_outside(run, name),
                 "paper_easr": paper.easr if paper else None,
                 "paper_apd": paper.apd if paper else None,
                 **_on_cycles(run, name, paper),
@@ -204,6 +218,7 @@ def _shape_rows(run: Reproduction) -> list[dict[str, Any]]:
                 "best_repeat_easr": _best_repeat(run, run.best[family]),
                 **at_equal_alarms(run.results, run.row(run.best[family])),
                 **_corrected_p(run, run.best[family]),
+                **_outside(run, run.best[family]),
                 "paper_pm_star": magnitude,
                 "paper_easr": paper.easr if paper else None,
                 "easr_at_paper_pm_star": None if same is None else 100 * same.estimate,
@@ -236,6 +251,25 @@ def _corrected_p(run: Reproduction, name: str) -> dict[str, float | None]:
         known = [row[test] for row in told if row.get(test) is not None]
         found[test] = max(known) if len(known) == len(told) else None
     return found
+
+
+def _outside(run: Reproduction, name: str) -> dict[str, Any]:
+    """EASR by held-out detectors, at 100 false alarms per km² where they reach them.
+
+    An attack works only at home if no such detector surely loses more to it than to its controls.
+    """
+    rows = []
+    for results in run.held_out.values():
+        for detector in results.detectors:
+            row = results.row(CamouflageName.read(name), detector)
+            if row is not None and not row.camouflage.random:
+                rows.append(results.at(row, "100_per_km2") or row)
+    rates = [100 * row.easr.estimate for row in rows if not math.isnan(row.easr.estimate)]
+    if not rates:
+        return {}
+    beside = [row.strongest or row.random for row in rows]
+    home = not any(each is not None and each.net.low > 0 for each in beside)
+    return {"outside_easr_min": min(rates), "outside_easr_max": max(rates), "only_at_home": home}
 
 
 def _on_cycles(run: Reproduction, name: str, paper: PaperResult | None) -> dict[str, Any]:
