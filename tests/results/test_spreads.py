@@ -104,3 +104,15 @@ def test_pairs_of_searches():
 def test_names_say_what_is_a_repeat_of_what(name, of, number, kind):
     repeat = repeat_of(name)
     assert (repeat.of, repeat.number, repeat.kind) == (of, number, kind)
+
+
+def test_the_spreads_in_the_conventions_are_those_of_the_code():
+    text = " ".join((TABLES.parent / "conventions.md").read_text().split())
+    kinds = (SEEDS, DRAWS, SEARCHES, TRAININGS)
+    usual = ", ".join(f"{kind.usual_sd:g}" for kind in kinds)
+    first, *others = (f"{kind.largest_sd:g}" for kind in kinds)
+    largest = (
+        f"({first} on attacked detectors, {', '.join(others)}; best-of-N {BESTS.largest_sd:g})"
+    )
+    assert f"usual standard deviation ({usual})" in text
+    assert largest in text
