@@ -73,7 +73,8 @@ def read_checkpoint(path: Path) -> Any:
         # Damage makes unpicklers raise any exception, and advise to run the file.
         raise StoredFileError(
             f"{path} is not a checkpoint that can be read: {_what_came(path)}; give a file as "
-            "torch.save or safetensors write it, with the weights in it."
+            "torch.save or safetensors write it, with the weights in it. sp.assess tests any other "
+            "detector by its boxes alone, through a Python function that gives them."
         ) from error
 
 
@@ -211,6 +212,8 @@ def _what_came(path: Path) -> str:
     """Describes a file that is no checkpoint in a few words."""
     if path.suffix == ".safetensors":
         return "it is no safetensors file, or damaged"
+    if path.suffix == ".onnx":
+        return "it is an ONNX file"
     try:
         with path.open("rb") as file:
             begin = file.read(2)
