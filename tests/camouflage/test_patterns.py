@@ -4,14 +4,16 @@ import numpy as np
 import pytest
 import torch
 
+from skyproof.camouflage.make import make_candidates
+from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.patterns import PATTERNS, draw_pattern
+from skyproof.measure.precheck import precheck_changes
 
 PALETTE = torch.tensor([[0, 0, 0], [60, 80, 40], [120, 110, 90], [200, 190, 170]]) / 255
 
 
 def drawn(kind: str, seed: int) -> np.ndarray:
-    generator = torch.Generator().manual_seed(seed)
-    return draw_pattern(kind, PALETTE, generator=generator).bytes().permute(1, 2, 0).numpy()
+    return draw_pattern(kind, PALETTE, seed=seed, draw=0).bytes().permute(1, 2, 0).numpy()
 
 
 @pytest.mark.parametrize("kind", PATTERNS)
@@ -32,7 +34,7 @@ def test_steps_of_noise_are_equally_large_and_lie_in_order() -> None:
     grey = torch.arange(4).view(4, 1).expand(4, 3) / 4
     shares = []
     for seed in range(3):
-        pattern = draw_pattern("noise", grey, generator=torch.Generator().manual_seed(seed))
+        pattern = draw_pattern("noise", grey, seed=0, draw=seed)
         colours, counts = np.unique(pattern.bytes()[0].numpy(), return_counts=True)
         assert len(colours) == 4
         shares += (counts / counts.sum()).tolist()
@@ -46,3 +48,13 @@ def test_stripes_repeat_along_one_direction_alone() -> None:
     # Doubled angles: both sides of a stripe count alike.
     doubled = 2 * np.arctan2(down, right)[edges]
     assert abs(np.exp(1j * doubled).mean()) > 0.5
+
+
+def test_a_control_is_chosen_from_the_draws_of_the_precheck() -> None:
+    name = CamouflageName.parse("R-U_pattern")
+    candidates = make_candidates(name, 8, seed=3, palette=PALETTE)
+    changes = precheck_changes(PALETTE, draws=2, seed=3)
+    checked = [each.camouflage for each in changes if each.name in PATTERNS]
+    assert {str(each.name) for each in candidates} == {str(each.name) for each in checked}
+    maps = {str(each.name): each.bytes() for each in candidates}
+    assert all((maps[str(each.name)] == each.bytes()).all() for each in checked)

@@ -136,17 +136,11 @@ def make_candidates(
     if name.choice == "pattern":
         if name.constraints is None or given["palette"] is None:
             raise ConfigurationError(f"{name} expects colours; give them with --palette.")
-        patterns: list[Camouflage] = []
-        for number in range(draws):
-            repeat, kind = divmod(number, len(PATTERNS))
-            generator = generator_of(seed, "pattern", f"{PATTERNS[kind]}-{repeat}")
-            masked = name.constraints.masked
-            pattern = draw_pattern(
-                PATTERNS[kind], given["palette"], generator=generator, masked=masked
-            )
-            pattern.name = pattern.name.with_repeat(repeat)
-            patterns.append(pattern)
-        return patterns
+        palette, masked = given["palette"], name.constraints.masked
+        return [
+            draw_pattern(PATTERNS[kind], palette, seed=seed, draw=draw, masked=masked)
+            for draw, kind in (divmod(number, len(PATTERNS)) for number in range(draws))
+        ]
     if name.choice == "best":
         names = [name.base.with_repeat(draw) for draw in range(draws)]
         return [draw_control(each, seed=seed, **given) for each in names]

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from skyproof.camouflage.name import CamouflageName, TextureConstraints
 from skyproof.camouflage.texture import UniversalTexture
+from skyproof.randomness import generator_of
 from skyproof.vehicles.vehicle import TEXTURE_SIZE
 
 _Colours = Int[np.ndarray, "512 512"]
@@ -104,15 +105,20 @@ def draw_pattern(
     kind: str,
     palette: Float[Tensor, "K 3"],
     *,
-    generator: torch.Generator,
+    seed: int,
+    draw: int,
     masked: bool = False,
 ) -> UniversalTexture:
-    """Draws a pattern of `PATTERNS` over vehicle or painted panels, in a palette's sRGB colours."""
+    """Draws a pattern of `PATTERNS` over vehicle or painted panels, in a palette's sRGB colours.
+
+    A precheck and the choice of a control of one seed have the same draws.
+    """
+    generator = generator_of(seed, "gate", kind, str(draw))
     rng = np.random.default_rng(int(torch.randint(2**62, (1,), generator=generator)))
     number = torch.from_numpy(_PATTERNS[kind](rng, len(palette)).copy())
     shuffled = palette[torch.from_numpy(rng.permutation(len(palette)))]
     constraints = TextureConstraints(masked=masked)
-    name = CamouflageName("texture", constraints, random=True, variant=kind)
+    name = CamouflageName("texture", constraints, random=True, variant=kind).with_repeat(draw)
     pattern = UniversalTexture(name, generator=torch.Generator())
     with torch.no_grad():
         pattern.cells.copy_(shuffled[number].permute(2, 0, 1))

@@ -182,7 +182,7 @@ def _hex(colour: Colour) -> str:
 
 def _control(text: str, draw: int, palette: Float[Tensor, "K 3"], seed: int) -> Camouflage:
     if text in PATTERNS:
-        return draw_pattern(text, palette, generator=generator_of(seed, "gate", text, str(draw)))
+        return draw_pattern(text, palette, seed=seed, draw=draw)
     name = CamouflageName.parse(text).with_repeat(draw)
     generator = generator_of(seed, "gate", str(name))
     return make_camouflage(name, generator=generator, palette=palette).requires_grad_(False)
