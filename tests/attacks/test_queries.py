@@ -108,7 +108,7 @@ def test_a_search_from_nothing_that_found_more_is_taken(tmp_path: Path, world: W
         black.cells.zero_()
     start, detector = finished("T-Pix"), judge(Answering())
     found = query_attack(start, detector, world, FEW, tmp_path / "T-Pix", rival=black)
-    assert str(found.name) == "T-Pix"
+    assert [str(each.name) for each in (found, black)] == ["T-Pix", "R-Pix_search"]
     assert not found.bytes().any()
     asked = read_record(tmp_path / "T-Pix")["queries"]["judged"]
     assert asked["rival_hides"] >= max(asked["hides"], asked["start_hides"])

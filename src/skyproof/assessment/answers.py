@@ -71,7 +71,7 @@ def say_answers(layout: Layout, camouflages: Collection[str]) -> None:
         say(
             f"  {detector_name(row.detector):<12} {row.camouflage} {hides(row.easr)}"
             f"{where} (95 % interval {interval(row.easr_low, row.easr_high)}), "
-            f"net of the strongest control "
+            "net of the strongest control "
             f"{percent(row.net_strongest_control_easr)}"
             + ("" if half is None else f", by the lenient rule {percent(half)}")
         )

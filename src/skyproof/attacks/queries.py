@@ -161,8 +161,8 @@ def query_attack(
     without a detection), because a box that is merely moved does not hide it. The candidates of one
     generation share their scenes. A stopped attack continues from its last generation: detections
     are stored, and only those of the generation or the last comparison in which it stopped are
-    queried again, beyond the budget. At the end start, result and rival are compared on
-    scenes of no candidate, and the best one stays. These images count, too.
+    queried again, beyond the budget. At the end start, result and rival are compared on scenes of
+    no candidate, and the best one stays. These images count, too.
 
     Args:
         start: finished camouflage that was optimised on other detectors, or a random draw for a
@@ -256,7 +256,7 @@ def query_attack(
                 "hides": measured[-1].hidden,
             }
             # Of equal ones the first, which is the start.
-            found = [*others, found][measured.index(max(measured))]
+            found = copy.deepcopy([*others, found][measured.index(max(measured))])
             found.name = start.name
         save_camouflage(folder, found, {"queries": queries})
         loop.forget()
