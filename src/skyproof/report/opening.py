@@ -50,10 +50,12 @@ def opening(
     if row is None:
         return _baseline(baselines, steps)
     whose = "the detectors" if row.detector == MEAN else detector_name(row.detector)
-    random = "" if row.random is None else f" A random control {hides(row.random.easr)} on average."
+    control = row.strongest or row.random
+    words = "The strongest control" if row.strongest else "A random control"
+    beside = "" if control is None else f" {words} {hides(control.easr)} without optimisation."
     attack = f"{row.camouflage.in_words} ({row.camouflage})"
     sentence = (
-        f"of the vehicles that {whose} found without camouflage are missed with {attack}.{random}"
+        f"of the vehicles that {whose} found without camouflage are missed with {attack}.{beside}"
     )
     if row.easr.estimate < 0:
         sentence = f"No attack hides vehicles from {whose}: {attack} {hides(row.easr.estimate)}."
