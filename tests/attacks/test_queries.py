@@ -27,6 +27,7 @@ from skyproof.errors import (
     RunFolderError,
     StoredFileError,
 )
+from skyproof.results.result import LENIENT_MATCH
 from tests.attacks.test_kinds import BrightnessDetector, start, world
 
 __all__ = ["world"]
@@ -64,7 +65,7 @@ def judge(detector: Answering, threshold: float = 0.6) -> BlackBoxDetector:
 def mean_score(camouflage: Camouflage, world: World) -> float:
     scenes = world.draw(24, generator=torch.Generator().manual_seed(12345))
     frames = world.frames(camouflage, scenes)
-    return float(target_scores(BrightnessDetector(), frames, 0.125).mean())
+    return float(target_scores(BrightnessDetector(), frames, 0.125, LENIENT_MATCH).mean())
 
 
 def finished(name: str) -> Camouflage:
@@ -87,7 +88,9 @@ def searched(world: World, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_answers_alone_find_something_better(tmp_path: Path, world: World, name: str) -> None:
     before = finished(name)
     detector = Answering()
-    found = query_attack(finished(name), judge(detector), world, FEW, tmp_path)
+    # A shape has more to find out.
+    budget = replace(FEW, images=(2 if name.startswith("S") else 1) * FEW.images)
+    found = query_attack(finished(name), judge(detector), world, budget, tmp_path)
     assert mean_score(found, world) < mean_score(before, world)
     # Colours stay those of the palette.
     if isinstance(found, UniversalTexture) and isinstance(before, UniversalTexture):
@@ -96,7 +99,7 @@ def test_answers_alone_find_something_better(tmp_path: Path, world: World, name:
         assert not torch.equal(found.bytes(), before.bytes())
     assert str(load_camouflage(tmp_path).name) == str(found.name) == name
     asked = read_record(tmp_path)["queries"]
-    assert FEW.images - 40 < asked["images"] <= FEW.images
+    assert budget.images - 40 < asked["images"] <= budget.images
     assert asked["images"] == detector.images
     if not found.name.random:
         assert asked["judged"]["scenes"] == 16

@@ -567,7 +567,8 @@ def test_a_finished_run_is_given_only_the_cycles_column(tmp_path):
     [
         ({"repeats": 0}, "repeats"),
         ({"cycles_repeats": 0}, "cycles_repeats"),
-        ({"reference": ["retinanet", "retinanet"]}, "each detector once"),
+        ({"reference": ["retinanet", "retinanet"]}, "reference expects each detector once"),
+        ({"detectors": ["retinanet", "retinanet"]}, "detectors expects each detector once"),
         ({"detectors": []}, "detector"),
         ({"sun": 1}, "no field 'sun'"),
         ({"world": {**TINY["world"], "image_px": 31}}, "image_px"),

@@ -255,8 +255,9 @@ class Preset:
                     f"reference names {architecture}, which is none of the preset's detectors "
                     f"({', '.join(self.detectors)}); name it there, too."
                 )
-        if len(set(self.reference)) < len(self.reference):
-            yield f"reference expects each detector once, got {', '.join(self.reference)}."
+        for setting, names in (("detectors", self.detectors), ("reference", self.reference)):
+            if len(set(names)) < len(names):
+                yield f"{setting} expects each detector once, got {', '.join(names)}."
         if self.trainings > 1 and self.reference:
             yield (
                 f"trainings {self.trainings} expects detectors that the run trains, all by one "
