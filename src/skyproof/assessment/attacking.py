@@ -50,8 +50,7 @@ def _transferred(its: Subject, name: CamouflageName, asked: CamouflageName) -> I
     """An attack on the reference detectors, and the query attack `asked` that starts from it."""
     transfer = name.with_variant(TRANSFER)
     yield attack(its, transfer, its.suite.attack(name, its.seed), transfer=True)
-    rival = name.control.with_variant("search") if its.black_box is not None else None
-    yield query(its, asked, start=transfer, rival=rival)
+    yield query(its, asked, start=transfer)
 
 
 def attack(
@@ -82,13 +81,9 @@ def attack(
     )
 
 
-def query(
-    its: Subject,
-    name: CamouflageName,
-    start: CamouflageName | None = None,
-    rival: CamouflageName | None = None,
-) -> Step:
+def query(its: Subject, name: CamouflageName, start: CamouflageName | None = None) -> Step:
     """Makes a query attack; it starts from a finished camouflage, or from a random draw."""
+    rival = name.control.with_variant("search") if start and its.black_box is not None else None
     folder = its.layout.camouflage(str(name))
     settings = replace(its.suite.queries, seed=its.seed)
 

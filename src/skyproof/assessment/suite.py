@@ -101,9 +101,7 @@ class Suite:
         under = self.steps.texture
         steps = {name: self.steps.of(name) + under * (name.order == "seq") for name in self.names}
         return {
-            control: replace(
-                self.settings, steps=count, seed=next_seed(seed, int(control.repeat or 0))
-            )
+            control: replace(self.settings, steps=count, seed=next_seed(seed, control.number))
             for control, count in chosen_controls(steps, searches).items()
         }
 

@@ -17,7 +17,6 @@ from skyproof.detectors.inference import device_of
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import Match
 from skyproof.render.dataset import AT_A_TIME, in_threads
-from skyproof.results.result import MAIN_MATCH
 from skyproof.scenes.scene import Scene
 
 BATCHES = 8
@@ -50,7 +49,7 @@ class HeldOut:
     world: World
     seed: int
     batch_size: int
-    match: Match = MAIN_MATCH
+    match: Match = "centre_1m"
 
     @cached_property
     def identity(self) -> dict[str, Any]:

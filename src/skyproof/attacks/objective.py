@@ -10,10 +10,9 @@ from torch import Tensor
 
 from skyproof.attacks.settings import Method
 from skyproof.detectors.detector import Candidates, Detector, TrainableDetector
-from skyproof.detectors.matching import CENTRE_DISTANCE_M
+from skyproof.detectors.matching import CENTRE_DISTANCE_M, centres_of, contain
 from skyproof.ranges import Match
 from skyproof.render.frames import Frames
-from skyproof.results.result import LENIENT_MATCH, MAIN_MATCH
 from skyproof.storage import weights_digest
 
 _FOOLED = 0.03
@@ -104,21 +103,18 @@ def balanced_weights(losses: Mapping[str, Sequence[float]]) -> dict[str, float]:
 
 @torch.no_grad()
 def target_scores(
-    detector: Detector, frames: Frames, gsd_m: float, match: Match = MAIN_MATCH
+    detector: Detector, frames: Frames, gsd_m: float, match: Match = "centre_1m"
 ) -> Float[Tensor, " B"]:
     """Highest score (a black box: of detections) that finds the image's vehicle by a rule; else 0.
 
     By the main rule its centre is within 1 m, by the lenient rule there or in the vehicle's box.
     """
     candidates = _candidates(detector, frames.image.detach())
-    centres = (frames.boxes[:, :2] + frames.boxes[:, 2:]) / 2
-    candidate_centres = (candidates.boxes[..., :2] + candidates.boxes[..., 2:]) / 2
-    distance_m = (candidate_centres - centres[:, None]).norm(dim=-1) * gsd_m
+    boxes, centres = frames.boxes[:, None], centres_of(candidates.boxes)
+    distance_m = (centres - centres_of(boxes)).norm(dim=-1) * gsd_m
     near = distance_m <= CENTRE_DISTANCE_M
-    if match == LENIENT_MATCH:
-        boxes = frames.boxes[:, None]
-        inside = (candidate_centres >= boxes[..., :2]) & (candidate_centres <= boxes[..., 2:])
-        near |= inside.all(dim=-1)
+    if match == "centre_in_box":
+        near |= contain(boxes, centres)
     return candidates.scores.masked_fill(~(candidates.valid & near), 0.0).amax(1)
 
 

@@ -32,10 +32,11 @@ from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import alone
 from skyproof.loop import Loop, refuse_other
 from skyproof.randomness import generator_of
-from skyproof.ranges import Fraction
-from skyproof.results.result import LENIENT_MATCH
+from skyproof.ranges import Fraction, Match
 from skyproof.storage import weights_digest
 
+_GOAL: Match = "centre_in_box"
+"""A detection that finds the vehicle by this rule keeps it from being hidden."""
 _OTHER = "a search with other settings or from another start"
 _SPREAD = 0.2
 """Standard deviation of the first candidates, whose values go from 0 to 1."""
@@ -191,7 +192,7 @@ def query_attack(
         "start_sha256": weights_digest(start),
         "detector": detector.name,
         "threshold": detector.threshold,
-        "match": LENIENT_MATCH,
+        "match": _GOAL,
         "settings": asdict(settings),
         "scenes": asdict(world.scenes),
         "rival_sha256": None if rival is None else weights_digest(rival),
@@ -202,7 +203,7 @@ def query_attack(
     few_colours = isinstance(start, UniversalTexture) and start.restricted
     changes = few_colours or start.name.choice == "search"
     search = (_RandomChanges if changes else _Evolution)(start, settings.seed)
-    held_out = HeldOut([detector], world, settings.seed, settings.batch_size, LENIENT_MATCH)
+    held_out = HeldOut([detector], world, settings.seed, settings.batch_size, _GOAL)
     # Without camouflage and in each; a control has no start to return to.
     others = [each for each in (start, rival) if each is not None]
     compared = 0 if start.name.choice else (2 + len(others)) * held_out.scenes()
@@ -293,6 +294,6 @@ def _try(
     @torch.no_grad()
     def show(candidate: Camouflage) -> float:
         frames = world.frames(candidate, scenes)
-        return float(target_scores(detector, frames, gsd_m, LENIENT_MATCH).mean())
+        return float(target_scores(detector, frames, gsd_m, _GOAL).mean())
 
     return at_a_time(show, candidates, [detector])

@@ -243,8 +243,9 @@ class CamouflageName:
             words = texture or f"changed shape ({shape})"
         if self.choice == "search":
             return f"random search: {words}"
-        if self.choice == "pattern":
-            return words.replace("free texture", "best of many random patterns in ground colours")
+        if self.choice == "pattern" and self.constraints:
+            where = "painted panels" if self.constraints.masked else "the whole vehicle"
+            return f"best of many random patterns in ground colours on {where}"
         if self.random:
             return f"{'best of many random draws' if self.choice else 'random'}: {words}"
         return words
@@ -253,6 +254,11 @@ class CamouflageName:
     def pooled(self) -> CamouflageName:
         """The row it belongs to: the name without its repeat, "T-U-1" to "T-U"."""
         return replace(self, repeat="")
+
+    @property
+    def number(self) -> int:
+        """The repeat as a number, 0 without one."""
+        return int(self.repeat or 0)
 
     @property
     def base(self) -> CamouflageName:
@@ -326,14 +332,14 @@ class CamouflageName:
         """Whether every camouflage of this name is one of the other, too: "T-PixFcMa" of "T-Ma"."""
         own, wider = self.constraints, other.constraints
         if own is None or wider is None:
-            same = own is wider
+            within = own is wider
         else:
-            same = (
+            within = (
                 own.pixelised >= wider.pixelised
                 and own.masked >= wider.masked
                 and _COLOURS.index(own.colours) >= _COLOURS.index(wider.colours)
             )
-        return same and (self.magnitude or 0) <= (other.magnitude or 0)
+        return within and (self.magnitude or 0) <= (other.magnitude or 0)
 
     @property
     def random_shape(self) -> CamouflageName | None:

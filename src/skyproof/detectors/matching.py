@@ -105,7 +105,7 @@ def match_images(
         matched = matches.detection_of_truth >= 0
         partners = matches.detection_of_truth[matched]
         rows[matched.numpy(), 2] = image_scores[partners].double().numpy()
-        offset_px = _centres(boxes[partners] - shown[matched])
+        offset_px = centres_of(boxes[partners] - shown[matched])
         distance_px = torch.linalg.vector_norm(offset_px, dim=1)
         rows[matched.numpy(), 3] = distance_px.double().numpy() * gsd_m
         vehicles.append(rows)
@@ -146,7 +146,7 @@ def match_detections(
             f"Matching expects one of {', '.join(get_args(Match))} and gsd_m above 0, but got "
             f"{criterion} and {gsd_m}."
         )
-    centres = _centres(boxes)
+    centres = centres_of(boxes)
     # Large images have thousands of detections, so the table of all pairs is made in parts.
     pairs: dict[int, list[tuple[float, int]]] = {}
     for start in range(0, len(boxes) if len(truth) else 0, _PART):
@@ -155,12 +155,12 @@ def match_detections(
             cost = -ops.box_iou(boxes[part].double(), truth.double())
             limit = -MATCH_IOU
         else:
-            cost = torch.cdist(centres[part].double(), _centres(truth).double()) * gsd_m
+            cost = torch.cdist(centres[part].double(), centres_of(truth).double()) * gsd_m
             limit = CENTRE_DISTANCE_M
         # Rounding must not decide at the limit.
         enough = cost <= limit + 1e-9
         if criterion == "centre_in_box":
-            enough |= _inside(centres[part], truth)
+            enough |= contain(truth, centres[part][:, None])
         near = torch.nonzero(enough)
         costs = cost[near[:, 0], near[:, 1]].tolist()
         for (detection, vehicle), value in zip(near.tolist(), costs, strict=True):
@@ -180,7 +180,7 @@ def match_detections(
         detection_of_truth[vehicle] = detection
     ignored = torch.zeros(len(boxes), dtype=torch.bool)
     if ignore is not None and len(ignore):
-        ignored = _inside(centres, ignore).any(dim=1) & (truth_of_detection < 0)
+        ignored = contain(ignore, centres[:, None]).any(dim=1) & (truth_of_detection < 0)
     return Matches(truth_of_detection, detection_of_truth, ignored)
 
 
@@ -190,11 +190,11 @@ def _reaches(scores: Float[np.ndarray, " n"], threshold: float) -> Bool[np.ndarr
     return np.asarray(scores >= scores.dtype.type(threshold))
 
 
-def _inside(points: Float[Tensor, "K 2"], boxes: Float[Tensor, "m 4"]) -> Bool[Tensor, "K m"]:
-    """Says which points lie in which boxes."""
-    inside = (points[:, None] >= boxes[None, :, :2]) & (points[:, None] < boxes[None, :, 2:])
-    return inside.all(dim=2)
+def contain(boxes: Float[Tensor, "*#b 4"], points: Float[Tensor, "*#b 2"]) -> Bool[Tensor, "*b"]:
+    """Says which boxes (xyxy) hold which points; leading axes are broadcast."""
+    return ((points >= boxes[..., :2]) & (points < boxes[..., 2:])).all(dim=-1)
 
 
-def _centres(boxes: Tensor) -> Tensor:
-    return (boxes[:, :2] + boxes[:, 2:]) / 2
+def centres_of(boxes: Float[Tensor, "*b 4"]) -> Float[Tensor, "*b 2"]:
+    """The centres of boxes (xyxy)."""
+    return (boxes[..., :2] + boxes[..., 2:]) / 2

@@ -145,7 +145,7 @@ class Jobs:
             if preset.best_of and not job.name.variant
         }
         for control, count in chosen_controls(attacks, preset.searches).items():
-            seed = next_seed(preset.seed, int(control.repeat or 0))
+            seed = next_seed(preset.seed, control.number)
             settings = replace(preset.attack, steps=count, seed=seed)
             yield AttackJob(control, settings, preset.detectors, best_of=preset.best_of)
 
@@ -185,7 +185,7 @@ class Jobs:
 
         def has(name: CamouflageName) -> bool:
             if name.choice is not None:
-                return name.pooled in wanted and int(name.repeat or 0) < preset.cycles_repeats
+                return name.pooled in wanted and name.number < preset.cycles_repeats
             count = preset.repeats if name.pooled in wanted else preset.cycles_repeats
             return int(name.repeat) < count
 

@@ -38,8 +38,8 @@ PRESETS = {
     for name in ("quick", "overnight", "paper", "reference", "trainings")
 }
 """The paper's tables in small, with more repeats and in full, training of the shipped detectors,
-and the headline attacks on three trainings of each detector. The first two draw worlds in which no
-detector was trained and nothing was developed."""
+and the headline attacks on three trainings of each detector. The first two draw worlds at which
+nobody looked during development."""
 
 GSD_M = 0.125
 
@@ -169,7 +169,7 @@ class Preset:
             on optimised textures.
         score_batch: camouflages scored in one step; a quarter of them on Cycles.
         reference: detectors that are taken as they come with skyproof.
-        best_of: draws of the best-of-N control; 0 for no plain-paint, best-of-N and search control.
+        best_of: draws of the best-of-N control; 0 for no chosen control.
         searches: random searches of each attack's control.
         trainings: trainings of every detector, from different seeds. The attacks on all detectors
             are repeated on each.

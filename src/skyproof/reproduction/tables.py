@@ -49,11 +49,11 @@ def main_part(run: Reproduction) -> Topic:
         "attack scenes. “random” is the mean EASR of random draws under "
         "the same constraints, “net” the EASR minus that. “best control” is the EASR of the "
         "strongest control found without optimisation (a plain paint or every vertex out, the best "
-        "of N draws, a random search, any single draw, any paint of the precheck), and “net of it” "
-        "the EASR minus that. “at 100/km²” are rates at thresholds with as many false alarms per "
-        "km² of empty ground, else at the frozen thresholds. “held-out detectors” is the range of "
-        "EASR by detectors that no attack used, at 100/km² where they reach it; an attack that "
-        "surely beats its controls on none of them works “only at home”. “paper” is what the "
+        "of N draws or patterns, a random search, any single draw, any paint of the precheck), and "
+        "“net of it” the EASR minus that. “at 100/km²” are rates at thresholds with as many false "
+        "alarms per km² of empty ground, else at the frozen thresholds. “held-out detectors” is "
+        "the range of EASR by detectors that no attack used, at 100/km² where reached; an attack "
+        "that surely beats its controls on none of them works “only at home”. “paper” is what the "
         "paper reports for its own renderer († only in its source’s comments)."
         + (explained if run.cycles else ""),
         Heading("Textures"),
@@ -184,11 +184,7 @@ def _texture_rows(run: Reproduction) -> list[dict[str, Any]]:
             {
                 "attack": name,
                 "practicality": None if measured is None else measured.score.total,
-                **in_percent(run.row(name)),
-                "best_repeat_easr": _best_repeat(run, name),
-                **at_equal_alarms(run.results, run.row(name)),
-                **_corrected_p(run, name),
-                **_outside(run, name),
+                **_measured(run, name),
                 "paper_easr": paper.easr if paper else None,
                 "paper_apd": paper.apd if paper else None,
                 **_on_cycles(run, name, paper),
@@ -214,11 +210,7 @@ def _shape_rows(run: Reproduction) -> list[dict[str, Any]]:
                 "pm_star_share": 100 * best.share_best,
                 "pr_star": best.practicality,
                 "p1_star": best.p1,
-                **in_percent(run.row(run.best[family])),
-                "best_repeat_easr": _best_repeat(run, run.best[family]),
-                **at_equal_alarms(run.results, run.row(run.best[family])),
-                **_corrected_p(run, run.best[family]),
-                **_outside(run, run.best[family]),
+                **_measured(run, run.best[family]),
                 "paper_pm_star": magnitude,
                 "paper_easr": paper.easr if paper else None,
                 "easr_at_paper_pm_star": None if same is None else 100 * same.estimate,
@@ -227,6 +219,18 @@ def _shape_rows(run: Reproduction) -> list[dict[str, Any]]:
             }
         )
     return rows
+
+
+def _measured(run: Reproduction, name: str) -> dict[str, Any]:
+    """What both tables hold of a camouflage."""
+    row = run.row(name)
+    return {
+        **in_percent(row),
+        "best_repeat_easr": _best_repeat(run, name),
+        **at_equal_alarms(run.results, row),
+        **_corrected_p(run, name),
+        **_outside(run, name),
+    }
 
 
 def _best_repeat(run: Reproduction, name: str) -> float | None:

@@ -1,4 +1,4 @@
-"""Plain paints of the precheck, as controls beside optimised textures."""
+"""Plain paints of the precheck, as controls beside optimised camouflages."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -15,36 +15,34 @@ from skyproof.results.statistics.intervals import Interval
 def beside_paints(
     row: Result, prechecks: Mapping[str, PrecheckRecord], detectors: Sequence[str]
 ) -> Result:
-    """Lets the paints of the detectors' prechecks enter the strongest control of a row.
+    """Lets every paint of the detectors' prechecks enter the strongest control of a row.
 
-    They are measured on the renderer by the main rule, so other rows stay, and those without a
-    chosen control. A masked texture has the paints on body panels, another one all of them. Their
-    scenes are the first of the test, so the limits count both rates as independent; there is no
-    test.
+    Paints are measured on the renderer by the main rule, so other rows stay, and those without a
+    chosen control. A masked texture has the paints on body panels, another one all. Their scenes
+    are the first of the test, so the limits count both rates as independent; there is no test.
     """
     strongest, texture = row.strongest, row.camouflage.constraints
     names = detectors if row.detector == MEAN else [row.detector]
     known = {*names} <= {*prechecks} and (row.renderer, row.match) == ("torch", MAIN_MATCH)
     if strongest is None or texture is None or not known:
         return row
-    controls: dict[str, list[Rate]] = {}
-    for rate in (each for name in names for each in prechecks[name].rates):
-        if rate.kind in PAINTED and not (texture.masked and rate.kind == "paint_whole"):
-            words = f"plain paint {rate_words(rate)} {PAINTED[rate.kind]}"
-            controls.setdefault(words, []).append(rate)
+    kinds = [kind for kind in PAINTED if not (texture.masked and kind == "paint_whole")]
+    paints: dict[str, list[Rate]] = {}
+    for rate in (each for name in names for each in prechecks[name].rates if each.kind in kinds):
+        paints.setdefault(f"plain paint {rate_words(rate)} {PAINTED[rate.kind]}", []).append(rate)
     every = [strongest]
-    every += [_net(row.easr, *each) for each in controls.items() if len(each[1]) == len(names)]
+    every += [_net(row.easr, *paint) for paint in paints.items() if len(paint[1]) == len(names)]
     best = max(every, key=lambda each: each.easr)
     low = float(np.min([each.net.low for each in every]))
     return replace(row, strongest=replace(best, net=replace(best.net, low=low), p=strongest.p))
 
 
-def _net(easr: Interval, control: str, rates: Sequence[Rate]) -> Contrast:
-    """Sets a rate beside a control's, the mean over the detectors; their limits err together."""
+def _net(easr: Interval, paint: str, rates: Sequence[Rate]) -> Contrast:
+    """Sets a rate beside a paint's, the mean over the detectors; their limits err together."""
     ends = [(each.easr.estimate, each.easr.low, each.easr.high) for each in rates]
     hidden, low, high = np.mean(ends, axis=0).tolist()
     net = easr.estimate - hidden
     below = math.hypot(easr.estimate - easr.low, high - hidden)
     above = math.hypot(easr.high - easr.estimate, hidden - low)
-    name = CamouflageName("other", random=True, label=control)
-    return Contrast(name, hidden, rates[0].draws, Interval(net, net - below, net + above))
+    name = CamouflageName("other", random=True, label=paint)
+    return Contrast(name, hidden, 1, Interval(net, net - below, net + above))

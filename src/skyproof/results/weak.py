@@ -16,11 +16,13 @@ def weak_attacks(results: Results) -> list[str]:
     told = []
     for row in results.quoted:
         name = row.camouflage
+        if name.variant:
+            continue
         rates = {str(other.camouflage): other.easr.estimate for other in _within(row, results)}
         if row.strongest is not None and _meets(row.strongest.control, name):
             rates[str(row.strongest.control)] = row.strongest.easr
         best = max(rates, key=lambda other: rates[other], default=None)
-        if not name.variant and best is not None and rates[best] > row.easr.estimate:
+        if best is not None and rates[best] > row.easr.estimate:
             told.append(
                 f"{name} hides {percent(row.easr.estimate)} and {best}, which it could have found, "
                 f"{percent(rates[best])}"
