@@ -394,15 +394,13 @@ def draw_attacks(run_folder: Path) -> Image.Image:
 
 
 def draw_learnt(folder: Path) -> Image.Image:
-    """Shows what `skyproof learn-vehicles` made of photographs that the tests draw."""
+    """Shows what a generator learnt from photographs that the tests draw."""
     width_px = 1344
     shown = (
         ("Photograph, fit, difference, cut-out, texture, parts, how much is seen", "fits/00001", 4),
         ("Samples at 1.6 cm and at 12.5 cm per pixel, and their part maps", "samples", 3),
-        ("From one sample to another", "between", 1),
-        ("Samples from all sides", "turntable", 2),
     )
-    heights_px = {"fits/00001": 208, "samples": 208, "between": 384, "turntable": 192}
+    heights_px = {"fits/00001": 208, "samples": 208}
     strips = []
     for caption, name, rows in shown:
         with Image.open(folder / f"{name}.png") as image:

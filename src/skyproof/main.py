@@ -28,7 +28,6 @@ COMMANDS: dict[str, dict[str, str]] = {
         "ground": "skyproof.cli.ground:Ground",
         "clear": "skyproof.cli.clear:Clear",
         "vehicles": "skyproof.cli.vehicles:Vehicles",
-        "learn-vehicles": "skyproof.generator.command:LearnVehicles",
     },
     "Images": {
         "render": "skyproof.cli.render:Render",
@@ -37,6 +36,7 @@ COMMANDS: dict[str, dict[str, str]] = {
         "train": "skyproof.cli.train:Train",
         "import": "skyproof.cli.import_detector:Import",
         "precheck": "skyproof.cli.precheck:Precheck",
+        "harden": "skyproof.assessment.command:Harden",
     },
     "Attacks and scores": {
         "attack": "skyproof.cli.attack:Attack",

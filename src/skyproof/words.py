@@ -8,7 +8,6 @@ NAMES = {
     "retinanet": "RetinaNet",
     "faster_rcnn": "Faster R-CNN",
     "yolov5": "YOLOv5",
-    "yolov5_anchors": "YOLOv5 (anchors)",
     "fcos": "FCOS",
     "mean": "mean",
 }

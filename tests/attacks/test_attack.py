@@ -372,7 +372,7 @@ def test_a_renderer_without_gradients_is_refused(world):
 def test_an_attack_has_exactly_one_vehicle_per_image(world, minimum, maximum):
     scenes = SceneSettings(size_px=96, vehicles_minimum=minimum, vehicles_maximum=maximum)
     with pytest.raises(ConfigurationError, match="one vehicle"):
-        dataclasses.replace(world, scenes=scenes)
+        dataclasses.replace(world, scenes=scenes).step_scenes(1, 0, 1)
 
 
 @pytest.mark.parametrize(

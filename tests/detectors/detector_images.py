@@ -18,7 +18,6 @@ NEEDS_YOLO = [
     ),
 ]
 YOLO = pytest.param("yolov5", marks=NEEDS_YOLO)
-YOLO_ANCHORS = pytest.param("yolov5_anchors", marks=NEEDS_YOLO)
 
 
 def needs_yolo(test: Callable[..., Any]) -> Callable[..., Any]:
@@ -31,7 +30,7 @@ def needs_yolo(test: Callable[..., Any]) -> Callable[..., Any]:
     return test
 
 
-NAMES = ["retinanet", "faster_rcnn", YOLO, YOLO_ANCHORS]
+NAMES = ["retinanet", "faster_rcnn", YOLO]
 
 
 def bar_images(count: int, size_px: int = 96, *, seed: int) -> Dataset:

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import torch
-from detector_images import YOLO_ANCHORS
 from tests.rendered_world import make_world
 
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.detector import TrainableDetector
-from skyproof.detectors.inference import to_detector
 from skyproof.detectors.loaded import build_detector
 from skyproof.detectors.settings import TrainingSettings
 from skyproof.detectors.training import train
@@ -23,7 +20,7 @@ pytestmark = pytest.mark.slow
 
 TRAINING_IMAGES, VALIDATION_IMAGES, TEST_IMAGES = 160, 24, 40
 # Focal loss starts slowly.
-STEPS = {"retinanet": 200, "faster_rcnn": 140, "yolov5_anchors": 200}
+STEPS = {"retinanet": 200, "faster_rcnn": 140}
 BATCH_SIZE = 4
 
 
@@ -64,34 +61,9 @@ def ap(detector: TrainableDetector, images: Dataset) -> float:
     return validate(detector, images)["ap_centre_1m"]
 
 
-@torch.no_grad()
-def mean_loss(detector: TrainableDetector, images: Dataset) -> float:
-    """As in training: in batches as large, each normalised by its own mean and variance."""
-    training = copy.deepcopy(detector).train()
-    pixels = to_detector(training, torch.stack(images.images(range(len(images)))))
-    losses = [
-        training.loss(batch, images.boxes[start : start + BATCH_SIZE])
-        for start, batch in zip(
-            range(0, len(pixels), BATCH_SIZE), pixels.split(BATCH_SIZE), strict=True
-        )
-    ]
-    return float(torch.cat(losses).mean())
-
-
 @pytest.mark.parametrize("name", ["retinanet", "faster_rcnn"])
 def test_a_detector_learns_to_find_vehicles_that_it_never_saw(
     name: str, images: list[Dataset], tmp_path: Path
 ) -> None:
     before, after = learnt(name, images, tmp_path, ap)
     assert after > before + 0.35, (before, after)
-
-
-@pytest.mark.parametrize("name", [YOLO_ANCHORS])
-def test_the_loss_falls_on_vehicles_that_it_never_saw(
-    name: str, images: list[Dataset], tmp_path: Path
-) -> None:
-    # So short a training leaves its AP to chance, 0.09 to 0.49 by the kind of processor, and its
-    # loss in use, too, 0.70 to 1.05 of what it was, where it is normalised by running averages of
-    # its batches. Normalised as in training its loss falls to between 0.67 and 0.70 on three.
-    before, after = learnt(name, images, tmp_path, mean_loss)
-    assert after < 0.85 * before, (before, after)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import pytest
 import torch
 
 from skyproof.errors import StoredFileError
-from skyproof.generator.adversarial import AdversarialGenerator
+from skyproof.generator.adversarial import LATENT, AdversarialGenerator
 from skyproof.generator.adversarial_training import learn_adversarially
 from skyproof.generator.fits import FittedVehicles
 from skyproof.generator.fleet import sample_learnt_fleet
@@ -115,9 +116,16 @@ def test_glass_is_darker_than_white_paint_and_where_panes_are(layered: LayeredGe
 def test_one_vehicle_turns_into_another_by_small_steps(
     method: str, layered: LayeredGenerator, adversarial: AdversarialGenerator
 ) -> None:
-    generator = layered if method == "layered" else adversarial
-    way = generator.between(9, torch.Generator().manual_seed(2))
-    assert len({sample.body_type for sample in way}) == 1
+    draw = torch.Generator().manual_seed(2)
+    shares = torch.linspace(0, 1, 9).tolist()
+    if method == "layered":
+        body, first = layered.sample_latent(draw)
+        _, last = layered.sample_latent(draw, body_type=body)
+        way = [layered.decode(body, torch.lerp(first, last, share), 7) for share in shares]
+    else:
+        first, last = torch.randn(2, LATENT, generator=draw)
+        turns = [math.pi / 2 * share for share in shares]
+        way = [adversarial.decode(math.cos(a) * first + math.sin(a) * last) for a in turns]
     vertices = torch.stack([sample.vertices for sample in way])
     # Rings of a drawn body may jump along it, which changes nothing that is seen.
     sizes = vertices.amax(1) - vertices.amin(1)
@@ -179,7 +187,7 @@ def test_a_stopped_training_ends_at_the_same_numbers(
 @pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=ON_GPU)])
 def test_training_changes_what_is_made(device: str, fitted: FittedVehicles, tmp_path: Path) -> None:
     rows: list[dict[str, float]] = []
-    settings = AdversarialSettings(steps=30, batch_size=8, preview_every=15)
+    settings = AdversarialSettings(steps=30, batch_size=8)
     made = learn_adversarially(
         fitted, settings, tmp_path / "gan", device=device, on_step=rows.append
     )

@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from skyproof.errors import ConfigurationError, RunFolderError
+from skyproof.generator.__main__ import COMMANDS
 from skyproof.generator.folder import load_generator
 from skyproof.generator.learning import Imagery, learn_vehicles
 from skyproof.generator.settings import AdversarialSettings, FitSettings, LearnSettings
@@ -21,7 +22,7 @@ from skyproof.vehicles.fleet import Fleet
 from tests.generator.photographs import Photographs, take_photographs
 
 FIT = FitSettings(bodies=1, candidates=1, choose_steps=1, steps=2)
-SETTINGS = LearnSettings(fit=FIT, gan=AdversarialSettings(steps=4, batch_size=2, preview_every=2))
+SETTINGS = LearnSettings(fit=FIT, gan=AdversarialSettings(steps=4, batch_size=2))
 # Short fits are bad ones.
 LOOSE = 1.0
 
@@ -29,8 +30,7 @@ LOOSE = 1.0
 def shorten(patch: pytest.MonkeyPatch) -> None:
     patch.setattr("skyproof.generator.learning.LARGEST_MISFIT", LOOSE)
     patch.setattr("skyproof.generator.learning.LEAST_VEHICLES", 5)
-    for name, few in (("SAMPLES", 2), ("ROWS_BETWEEN", 1), ("STEPS_BETWEEN", 2), ("TURNS", 2)):
-        patch.setattr(f"skyproof.generator.sheets._{name}", few)
+    patch.setattr("skyproof.generator.sheets._SAMPLES", 2)
 
 
 @pytest.fixture(autouse=True)
@@ -101,9 +101,8 @@ def test_a_stopped_run_ends_at_the_same_bytes(
     assert seen == [("learn", 3), ("learn", 4)]
     assert files(tmp_path / "stopped") == files(tmp_path / "whole")
     found = set(files(tmp_path / "whole"))
-    sheets = {"samples.png", "between.png", "turntable.png", "fits/00001.png"}
+    sheets = {"samples.png", "fits/00001.png"}
     assert {"generator.json", "generator.safetensors", *sheets} <= found
-    assert {"gan/previews/000002.png", "gan/previews/000004.png"} <= found
     assert load_generator(tmp_path / "whole").method == "gan"
 
 
@@ -220,14 +219,14 @@ def test_the_commands_lead_from_photographs_to_fleets(
     options = [
         f"--settings.fit.{word}" if index % 2 == 0 else word for index, word in enumerate(fit)
     ]
-    learn = ["learn-vehicles", str(tmp_path / "tiles"), str(tmp_path / "cleared")]
-    assert run([*learn, "--out", str(tmp_path / "town"), *options]) == 0
+    learn = ["learn", str(tmp_path / "tiles"), str(tmp_path / "cleared")]
+    assert run([*learn, "--out", str(tmp_path / "town"), *options], commands=COMMANDS) == 0
     said = capsys.readouterr().out
     assert "Learnt from 6 vehicles" in said
     assert "Headings of 6 were estimated" in said
     assert "--fleets" in said
-    draw = ["learn-vehicles", "--out", str(tmp_path / "town"), "--counts", "4", "2", "2", "2"]
-    assert run([*draw, "--fleets", str(tmp_path / "fleets")]) == 0
+    draw = ["learn", "--out", str(tmp_path / "town"), "--counts", "4", "2", "2", "2"]
+    assert run([*draw, "--fleets", str(tmp_path / "fleets")], commands=COMMANDS) == 0
     fleet = Fleet.load(tmp_path / "fleets" / "train")
     assert len(fleet) == 4
     assert all(source["generator"] == "layered" for source in fleet.sources.values())

@@ -83,7 +83,7 @@ def mix(inputs: Path, out: Path) -> Sequence[object]:
 
 def learnt(inputs: Path, out: Path) -> Sequence[object]:
     given = ["--out", inputs / "learnt", "--counts", 1, 1, 1, 1, "--fleets", out / "new"]
-    return ["learn-vehicles", *given]
+    return ["learn", *given]
 
 
 def draw_fixed(inputs: Path, out: Path) -> Sequence[object]:

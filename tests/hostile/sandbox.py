@@ -20,7 +20,8 @@ import numpy as np
 from PIL import Image, PngImagePlugin
 from safetensors.numpy import load_file
 
-from skyproof.main import run
+from skyproof.generator.__main__ import COMMANDS as LEARNING
+from skyproof.main import COMMANDS, run
 from tests.hostile.values import finite
 from tests.hostile.world import one_texture
 
@@ -221,7 +222,7 @@ def called(words: list[str], folder: Path) -> Answer:
             for silent in (DeprecationWarning, PendingDeprecationWarning, ResourceWarning):
                 warnings.simplefilter("ignore", silent)
             with one_texture():
-                code = run(words)
+                code = run(words, commands={**COMMANDS, **LEARNING})
     finally:
         os.chdir(here)
     messages = [f"{warning.category.__name__}: {warning.message}" for warning in warned]

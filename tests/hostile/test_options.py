@@ -65,9 +65,7 @@ def base(name: str, inputs: Path, out: Path) -> Sequence[object]:
         "ground": ["ground", "--out", out / "new", "--tiles", 1, 1, 1, 1, "--tiling.size-px", 24],
         "clear": kinds.clear(inputs, out),
         "vehicles": ["vehicles", "--out", out / "new", "--counts", 1, 1, 1, 1],
-        "learn-vehicles": [
-            *("learn-vehicles", inputs / "tiled", inputs / "cleared", "--out", out / "new")
-        ],
+        "harden": ["harden", inputs / "nowhere", "--out", out / "new"],
         "render": kinds.render(inputs, out),
         "train": kinds.train(inputs, out),
         "precheck": [*checked, "--fleet", inputs / "nowhere"],

@@ -8,7 +8,6 @@ from skyproof.errors import ConfigurationError
 from skyproof.files import write_json
 from skyproof.reproduction.layout import PaperLayout
 from skyproof.reproduction.report import write_reproduction_report
-from skyproof.results.statistics.repeats import DRAWS
 from tests.reproduction.fabricate import DETECTORS, write_scores
 
 RATES = {
@@ -19,11 +18,8 @@ RATES = {
 OTHERS = {"T-Fc-0": 0.4, "R-Fc-0": 0.1, "S-O@0.4-0": 0.3}
 
 
-def write_cards(layout, weights, **changes):
+def write_cards(layout, weights):
     """What is recorded of the detectors; their weights differ in every training."""
-    training = {"images": 3000, "data_sha256": "a" * 64, "validation_sha256": "b" * 64}
-    training["identity"] = {"settings": {"steps": 1800, "batch_size": 8}}
-    training |= changes
     for name in DETECTORS:
         card = {
             "format": 1,
@@ -33,7 +29,6 @@ def write_cards(layout, weights, **changes):
             "gsd_m": 0.125,
             "validation": {"ap_centre_1m": 0.9 + 0.01 * int(weights)},
         }
-        card |= {"trained_on": "train: rendered", "training": training}
         card["weights_sha256"] = f"{name} {weights}"
         write_json(layout.detector(name) / "detector.json", card)
 
@@ -71,17 +66,10 @@ def test_by_hand(folder):
     close(row["easr_training_sd"], 20)
     close(row["random_easr"], 15)
     close(row["net_easr"], 65)
-    # Trainings 0, -20 and 20 points off.
-    close(row["easr_training_se"], 20 / 3**0.5)
-    close(row["net_easr_training_se"], ((25 + 625 + 900) / 2 / 3) ** 0.5)
-    # Draws hide 10 and 20 % of the mean training, nearer than draws usually are.
-    close(row["net_easr_draw_se"], 100 * DRAWS.usual_sd / 2**0.5)
-    # Tiles and vehicles are all alike here: 20 tiles, of 40 vehicles, that agree on everything.
-    close(row["easr_tile_se"], 0)
+    # 20 tiles, of 40 vehicles, that agree on everything, and trainings 0, -20 and 20 points off.
     margin = 100 * (1 - 0.025 ** (1 / 20))
     close(row["easr_low"], 80 - (margin**2 + (4.302653 * 20) ** 2 / 3) ** 0.5)
     close(row["easr_high"], 100)
-    assert row["easr_seed_se"] == "–"
 
 
 def test_seeds_are_a_part_of_how_trainings_differ(folder):
@@ -93,22 +81,18 @@ def test_seeds_are_a_part_of_how_trainings_differ(folder):
     assert row["seeds"] == "2"
     for number, easr in ((0, 90), (1, 70), (2, 90)):
         close(row[f"easr_training_{number}"], easr)
-    # The seeds of each training lie 20, 20 and 20 points apart: of two a variance of 200.
-    close(row["easr_seed_se"], (200 / 6) ** 0.5)
     mean = 250 / 3
     squares = sum((easr - mean) ** 2 for easr in (90, 70, 90))
+    # Seeds are a part of that, and are not counted once more.
     error = (squares / 2 / 3) ** 0.5
-    close(row["easr_training_se"], error)
-    # And are not counted once more.
     margin = 100 * (1 - 0.025 ** (1 / 20))
     close(row["easr_low"], mean - (margin**2 + (4.302653 * error) ** 2) ** 0.5)
 
 
-def test_the_page_tells_recipe_and_trainings(folder):
+def test_the_page_tells_of_the_trainings(folder):
     write_reproduction_report(folder)
     page = (folder / "tables" / "README.md").read_text()
     assert "## Other trainings of the detectors" in page
-    assert "by the same recipe (RetinaNet 1,800 steps, YOLOv5 1,800 steps, 3,000 images)" in page
     assert "RetinaNet 90.0, 91.0, 92.0" in page
     lines = [line for line in page.splitlines() if line.startswith("| T-U | mean |")]
     assert [line.split(" | ")[2:5] for line in lines] == [
@@ -128,27 +112,6 @@ def test_a_run_with_one_training_says_nothing(folder):
     assert not (folder / "tables" / "trainings.csv").exists()
     assert "Other trainings" not in (folder / "tables" / "README.md").read_text()
     assert "another training of the detectors" in (folder / "report.html").read_text()
-
-
-@pytest.mark.parametrize(
-    ("changes", "word"),
-    [
-        ({"data_sha256": "c" * 64}, r"differ in their training images \(aaaaaaaaaaaa and c"),
-        ({"validation_sha256": "c" * 64}, "differ in their validation images"),
-        ({"images": 400}, r"number of training images \(3000 and 400\)"),
-        ({"identity": {"settings": {"steps": 600}}}, "differ in their settings"),
-    ],
-)
-def test_trainings_of_other_data_are_refused(folder, changes, word):
-    write_cards(PaperLayout(folder).training(2), "2", **changes)
-    with pytest.raises(ConfigurationError, match=f"^Trainings 0 and 2 of retinanet .*{word}"):
-        write_reproduction_report(folder)
-
-
-def test_one_training_twice_is_refused(folder):
-    write_cards(PaperLayout(folder).training(2), "1")
-    with pytest.raises(ConfigurationError, match="Trainings 1 and 2 of retinanet have the same"):
-        write_reproduction_report(folder)
 
 
 def test_scores_of_other_vehicles_are_refused(folder):

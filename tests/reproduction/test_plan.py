@@ -51,20 +51,13 @@ def test_tiny_by_hand():
     assert tiny.controls == ("R-Fc-0", "R-S-O@0.4-0", "R-C-Fc@0.4-0")
     texture = tiny.attacks["T-Fc-0"]
     assert texture.texture is None
-    assert (texture.settings.steps, texture.settings.keep_at) == (8, (1,))
-    assert texture.folders == (
-        "T-Fc-0",
-        "T-Fc-0/snapshots/T-Fc_step1-0",
-        "T-Fc-0/snapshots/T-Fc_relaxed-0",
-    )
-    # Its texture is finished: there is nothing to round.
+    assert texture.settings.steps == 8
     sequential = tiny.attacks["C-Fc-seq@0.4-0"]
     assert sequential.texture == "T-Fc-0"
-    assert sequential.folders[1:] == ("C-Fc-seq@0.4-0/snapshots/C-Fc-seq@0.4_step1-0",)
     # Random controls are scored by themselves: they wait for no attack.
     assert tiny.batches["000"] == tiny.controls
     assert list(tiny.batches) == ["000", "001"]
-    assert len(tiny.batches["001"]) == 3 + 2 + 2 + 3
+    assert len(tiny.batches["001"]) == 4
 
 
 def test_on_cycles_are_finished_attacks_and_controls_alone():
@@ -78,7 +71,7 @@ def test_on_cycles_are_finished_attacks_and_controls_alone():
     added = {step.id for step in plan.steps} - {step.id for step in without.steps}
     assert added == {"render/test-cycles", "score/cycles-000", "score/cycles-001"}
     assert plan.steps[-1].id == "report/report"
-    # Neither transfers nor copies kept on the way.
+    # No transfers.
     wide = jobs(detectors=["retinanet", "faster_rcnn"], textures=["U"], transfer=["T-U"])
     assert wide.cycles_batches["001"] == ("T-U-0", "S-O@0.4-0", "C-U-seq@0.4-0")
     # The first repeats and draws of each.
@@ -176,7 +169,6 @@ def test_further_trainings_repeat_the_attacks_on_the_same_world():
     names = [f"{prefix}T-Fc-{repeat}" for prefix in ("", "training-2-") for repeat in (0, 1)]
     learnt = [steps[f"attack/{name}"].settings for name in names]
     assert [command.settings.seed for command in learnt] == [7, 8, 11, 12]
-    assert [command.settings.keep_at for command in learnt] == [(1,), (), (), ()]
     sequential = steps["attack/training-2-C-Fc-seq@0.4-1"].settings
     assert sequential.texture == Path("r/trainings/2/camouflages/T-Fc-1")
     assert sequential.detectors[1] == Path("r/trainings/2/detectors/faster_rcnn")
@@ -210,11 +202,10 @@ def test_weather_is_learnt_in_and_judged_apart():
     own = Jobs(preset)
     learnt = own.attacks["T-U_weather-1"]
     clear = own.attacks["T-U-1"]
-    # The same but for the weather; no copies on the way.
+    # The same but for the weather.
     assert learnt.conditions == tuple(CONDITIONS)
     assert clear.conditions == own.attacks["T-Fc-0"].conditions == ("clear",)
     assert (learnt.settings, learnt.detectors) == (clear.settings, clear.detectors)
-    assert own.attacks["T-U_weather-0"].folders == ("T-U_weather-0",)
     assert own.weather_batches == {
         "000": ("R-U-0", "R-U-1", "R-U-2"),
         "001": ("T-U-0", "T-U_weather-0", "T-U-1", "T-U_weather-1"),
@@ -250,7 +241,6 @@ def test_textures_with_more_repeats_than_the_rest():
         *("T-U-2", "T-U-3"),
     ]
     assert wide.attacks["T-U-3"].settings.seed == 3
-    assert wide.attacks["T-U-3"].folders == ("T-U-3",)
     assert [name for name in wide.attacks if name.startswith("T-Fc")] == ["T-Fc-0", "T-Fc-1"]
     # All textures are looked at, learnt and drawn.
     drawn = ("R-U-0", "R-U-1", "R-Fc-0", "R-Fc-1")
@@ -269,7 +259,7 @@ def test_repeats_seeds_transfer_and_masked():
         seed=7, detectors=["retinanet", "faster_rcnn", "yolov5"], textures=["U", "PixFcMa"],
         repeats=2, draws=2,
         transfer=["T-U"], magnitudes=[0.5, 1.0], combined_magnitudes={"PixFcMa": [0.2]},
-        score_batch=4, ladder_steps=[1, 5, 100], ladder_magnitude=0.5,
+        score_batch=4, control_magnitude=0.5,
         attack_steps={"texture": 10, "shape": 5, "sequential": 6, "parallel": 6},
     )  # fmt: skip
     first = [
@@ -281,19 +271,9 @@ def test_repeats_seeds_transfer_and_masked():
     assert {wide.attacks[f"{name}-1"].settings.seed for name in first} == {8}
     assert wide.attacks["T-U_without_faster_rcnn-0"].detectors == ("retinanet", "yolov5")
     assert wide.attacks["C-PixFcMa-seq@0.2-1"].texture == "T-PixFcMa-1"
-    # Copies are kept below the last step, of the first repeat, at one magnitude, and not of
-    # transfers.
-    attacks = wide.attacks.items()
-    kept = {name: job.settings.keep_at for name, job in attacks if job.settings.keep_at}
-    assert kept == {
-        "T-U-0": (1, 5),
-        "T-PixFcMa-0": (1, 5),
-        "S-O@0.5-0": (1,),
-        "C-U-seq@0.5-0": (1, 5),
-    }
     scored = [folder for batch in wide.batches.values() for folder in batch]
-    assert len(scored) == len(set(scored)) == 26 + (2 + 3 + 1 + 2) + 2 * (2 + 2 + 2 + 1)
-    assert [len(batch) for batch in wide.batches.values()] == [4, 4, 4, 2] + [4] * 8 + [2]
+    assert len(scored) == len(set(scored)) == 26 + 2 * (2 + 2 + 2 + 1)
+    assert [len(batch) for batch in wide.batches.values()] == [4, 4, 4, 2] + [4] * 6 + [2]
     # Two detectors: all but one is the other one, which is there already.
     pair = jobs(detectors=["retinanet", "faster_rcnn"], transfer=["T-U"])
     on_one = [name for name in pair.attacks if "_" in name]

@@ -162,20 +162,7 @@ def test_shapes_at_their_best_magnitude(written):
     ]
 
 
-def test_ladder_gap_and_signs(written):
-    ladder = table(written, "ladder")
-    assert [ladder["T-U-0"][key] for key in ("after_1", "after_10", "after_all")] == [
-        "10",
-        "90",
-        "80",
-    ]
-    # 20 tiles that agree leave a margin of 1 - 0.025^(1/20) = 17 points: from 90 to 80 is no sure
-    # fall, 100 to 40 is.
-    falls = {name: (row["never_falls"], row["never_surely_falls"]) for name, row in ladder.items()}
-    assert falls == {"T-U-0": ("no", "yes"), "T-Fc-0": ("yes", "yes"), "S-O@0.2-0": ("no", "no")}
-    assert ladder["T-Fc-0"]["after_10"] == "–"
-    gap = table(written, "gap")["T-Fc-0"]
-    assert (gap["easr_before"], gap["easr_after"], gap["loss_yolov5_after"]) == ("50", "20", "0.2")
+def test_signs(written):
     page = (written / "tables" / "README.md").read_text()
     assert "in 8 of 9 pairs" in page  # 4 attacks on two detectors, one on one
     assert "| T-U_on_yolov5-0 | yolov5 | 8 | 3 | 0.125 | +0.0500 |" in page
@@ -335,10 +322,7 @@ def add_cycles(folder):
 
 
 def test_cycles_beside_the_renderer(written, on_cycles):
-    before = {
-        name: table(written, name)
-        for name in ("textures", "shape_combined", "agreement", "ladder", "gap")
-    }
+    before = {name: table(written, name) for name in ("textures", "shape_combined", "agreement")}
     page = (written / "tables" / "README.md").read_text()
     assert "Cycles" not in page
     assert not (written / "tables" / "cycles.csv").exists()
@@ -513,7 +497,7 @@ def test_files_and_the_same_bytes_again(written, tmp_path):
             "practicality",
         )
     }
-    names |= {f"{name}.csv" for name in ("transfer", "ladder", "convergence", "signs", "gap")}
+    names |= {f"{name}.csv" for name in ("transfer", "convergence", "signs")}
     first = {path.name: path.read_bytes() for path in (folder / "tables").iterdir()}
     assert set(first) == names
     write_reproduction(folder)

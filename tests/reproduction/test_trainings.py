@@ -24,7 +24,6 @@ def test_two_trainings(tmp_path):
         "attack_steps": steps,
         "magnitudes": [],
         "textures": ["U", "Pix", "Fc"],
-        "ladder_steps": [],
     }
     preset.write_text(json.dumps({**TINY, **less, "trainings": 2}))
     folder = tmp_path / "run"

@@ -111,15 +111,7 @@ class Subject:
         """Places of vehicles: those of labelled ones if cleared imagery shows enough of them."""
         if not self.request.imagery:
             return "uniform"
-        ground = BackgroundSet.open(self.layout.backgrounds)
-        tiles = {split: ground.tiles(split) for split in ENOUGH_PLACES}
-        if all(
-            sum(len(known_places(tile)) for tile in tiles[split]) >= count
-            for split, count in ENOUGH_PLACES.items()
-        ):
-            return "removed"
-        known = all(any(tile.drivable for tile in of_split) for of_split in tiles.values())
-        return "drivable" if known else "uniform"
+        return places_of(BackgroundSet.open(self.layout.backgrounds))
 
     @property
     def image_px(self) -> int:
@@ -182,6 +174,18 @@ class Subject:
     @cached_property
     def _ground_palette(self) -> Float[Tensor, "colours 3"]:
         return ground_palette(self.world.backgrounds)
+
+
+def places_of(ground: BackgroundSet) -> Places:
+    """Where vehicles stand on cleared imagery: on places of labelled ones if it shows enough."""
+    tiles = {split: ground.tiles(split) for split in ENOUGH_PLACES}
+    if all(
+        sum(len(known_places(tile)) for tile in tiles[split]) >= count
+        for split, count in ENOUGH_PLACES.items()
+    ):
+        return "removed"
+    known = all(any(tile.drivable for tile in of_split) for of_split in tiles.values())
+    return "drivable" if known else "uniform"
 
 
 def subject_of(request: Request, suite: Suite, black_box: BlackBoxDetector | None) -> Subject:

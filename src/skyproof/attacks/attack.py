@@ -183,13 +183,11 @@ class _Run:
             if step % settings.preview_every == 0 or step in (1, settings.steps):
                 _write_preview(self.loop.folder / "previews" / f"{step:06d}.png", images)
             if step in settings.keep_at:
-                self._snapshot(f"step{step}", finalise=True)
+                self._snapshot(f"step{step}")
             if self.held_out is not None and step == settings.steps // 2:
                 half_way = copy.deepcopy(camouflage)
                 half_way.finalise()
                 facts["hidden_half_way"] = self.held_out.measure(half_way).hidden
-        if settings.keep_at:
-            self._snapshot("relaxed", finalise=False)
         rounding = {"before": self._mean_losses()}
         camouflage.finalise()
         rounding["after"] = self._mean_losses()
@@ -247,13 +245,12 @@ class _Run:
         losses = _losses(self.camouflage, self.detectors, self.world, self.settings)
         return {name: statistics.fmean(values) for name, values in losses.items()}
 
-    def _snapshot(self, variant: str, *, finalise: bool) -> None:
-        """Stores a copy under a name of its own: "T-U_step10-0" is "T-U-0" after 10 steps."""
+    def _snapshot(self, variant: str) -> None:
+        """Stores a finished copy by its own name: "T-U_step10-0" is "T-U-0" after 10 steps."""
         copied = copy.deepcopy(self.camouflage)
         copied.name = self.camouflage.name.with_variant(variant)
         copied.paper_form_(False)
-        if finalise:
-            copied.finalise()
+        copied.finalise()
         record = {"of": str(self.camouflage.name), "variant": variant}
         save_camouflage(self.loop.folder / "snapshots" / str(copied.name), copied, record)
 

@@ -43,8 +43,7 @@ class AttackSettings:
         learning_rate: learning rate of Adam at the start; half a cosine takes it to a tenth.
         balance_batches: batches of no step, whose mean losses set the detectors' weights and
             measure the cost of the last rounding.
-        keep_at: steps after which a finished copy is kept in `snapshots/`, with a last one from
-            before the final rounding, "relaxed".
+        keep_at: steps after which a finished copy is kept in `snapshots/`.
         preview_every: steps between pictures of the batch.
         checkpoint_every: steps between checkpoints.
         seed: seed of all scenes and random draws.

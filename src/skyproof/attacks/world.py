@@ -33,7 +33,8 @@ class World:
         renderer: differentiable, on `backgrounds`.
         backgrounds: attacks use their split "attack".
         fleet: vehicles to camouflage.
-        scenes: distribution of the scenes, with exactly one vehicle per image (section 3.2).
+        scenes: distribution of the scenes; attacks expect exactly one vehicle per image (section
+            3.2).
     """
 
     renderer: Renderer
@@ -45,10 +46,6 @@ class World:
         if not self.renderer.differentiable:
             raise ConfigurationError(
                 "An attack expects a differentiable renderer; give TorchRenderer."
-            )
-        if (self.scenes.vehicles_minimum, self.scenes.vehicles_maximum) != (1, 1):
-            raise ConfigurationError(
-                "An attack expects exactly one vehicle per image; give scenes with one."
             )
 
     @classmethod
@@ -89,7 +86,11 @@ class World:
         )
 
     def step_scenes(self, count: int, seed: int, step: int) -> list[Scene]:
-        """Draws the scenes of one step; steps 0, -1, -2 ... serve to measure."""
+        """Draws the scenes of one step of an attack; steps 0, -1, -2 ... serve to measure."""
+        if (self.scenes.vehicles_minimum, self.scenes.vehicles_maximum) != (1, 1):
+            raise ConfigurationError(
+                "An attack expects exactly one vehicle per image; give scenes with one."
+            )
         return self.draw(
             count, generator=torch.Generator().manual_seed((seed * 1_000_003 + step) % 2**63)
         )

@@ -280,7 +280,7 @@ class CamouflageName:
 
     @property
     def kept_copy(self) -> bool:
-        """Whether it is a copy that an attack kept: "T-U_step10", "T-U_relaxed"."""
+        """Whether it is a copy that an attack kept: "T-U_step10", "T-U_asked1500"."""
         return re.fullmatch(rf"(?:.*_)?{_COPY}", self.variant) is not None
 
     @property

@@ -21,7 +21,7 @@ class Train:
     A stopped training resumes with the same command.
 
     Attributes:
-        detector: retinanet, faster_rcnn, yolov5 or yolov5_anchors.
+        detector: retinanet, faster_rcnn or yolov5.
         data: dataset folder to train on.
         validation: dataset folder that chooses the best weights and the threshold.
         out: detector folder to write.

@@ -1,18 +1,16 @@
-"""The YOLOv5 of 2020, with anchors and objectness: trained here or imported.
+"""The YOLOv5 of 2020, with anchors and objectness, imported.
 
-Source of head and loss: the formulas of github.com/ultralytics/yolov5, release 7.0; its code is not
+Source of the head: the formulas of github.com/ultralytics/yolov5, release 7.0; its code is not
 used.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
-from torchvision.ops import box_convert, complete_box_iou_loss
 
 from skyproof.detectors.detector import (
     Boxes,
@@ -23,26 +21,13 @@ from skyproof.detectors.detector import (
     check_targets,
     pad_to_stride,
 )
-from skyproof.detectors.ultralytics_detectors import build_model, yolov5_architecture
+from skyproof.detectors.ultralytics_detectors import build_model
 
-# Anchors of release 7.0 for three levels, chosen on COCO. Six of the nine match a vehicle of 4 m at
-# 12.5 cm per pixel (from a fourth to four times its size).
-_ANCHORS_PX = (
-    (10, 13, 16, 30, 33, 23),
-    (30, 61, 62, 45, 59, 119),
-    (116, 90, 156, 198, 373, 326),
-)
-# The source's settings for training from scratch, for three levels and images of 640 px.
-_BOX_GAIN = 0.05
 _USUAL_SIDE_PX = 640
 _USUAL_LEVELS = 3
-# A vehicle matches anchors from a fourth to four times its width and height.
-_LARGEST_RATIO = 4.0
 # Weights of the levels' objectness, for three levels and for any other number.
 _LEVEL_WEIGHTS = {3: (4.0, 1.0, 0.4)}
 _MANY_LEVEL_WEIGHTS = (4.0, 1.0, 0.25, 0.06, 0.02)
-# The offsets of a cell itself and of the neighbours that a centre may belong to.
-_NEIGHBOURS = ((0, 0), (1, 0), (0, 1), (-1, 0), (0, -1))
 
 
 class AnchorAnswers(NamedTuple):
@@ -73,13 +58,6 @@ class AnchorHead(nn.Module):
         # The checkpoints of 2020 use this name.
         convolutions = [nn.Conv2d(width, count * self.numbers, 1) for width in channels]
         self.m = nn.ModuleList(convolutions)
-        for convolution, stride in zip(convolutions, self.strides_px, strict=True):
-            assert convolution.bias is not None
-            with torch.no_grad():
-                bias = convolution.bias.view(count, self.numbers)
-                # The source expects about eight objects on an image of 640 px.
-                bias[:, 4] += math.log(8 / (_USUAL_SIDE_PX / stride) ** 2)
-                bias[:, 5:] += math.log(0.6 / (class_count - 0.99999))
 
     def forward(self, features: list[Float[Tensor, "B _ _ _"]]) -> AnchorAnswers:
         levels = []
@@ -117,77 +95,6 @@ class AnchorHead(nn.Module):
         return centres, (raw[..., 2:4].sigmoid() * 2) ** 2 * anchors
 
 
-def anchor_loss(
-    head: AnchorHead, answers: AnchorAnswers, targets: Sequence[Float[Tensor, "_ 4"]]
-) -> Float[Tensor, " B"]:
-    """YOLOv5's loss of boxes and objectness per image, for one class.
-
-    Differences from the source: the source averages over the positives of a batch; this averages
-    over those of each image, so that an image's loss depends on that image alone. If two vehicles
-    claim one anchor in one cell, the better box counts, not the last one. There is no class term,
-    as in the source for a single class.
-    """
-    images = len(targets)
-    level_count = len(answers.levels)
-    weights = _LEVEL_WEIGHTS.get(level_count, _MANY_LEVEL_WEIGHTS)
-    gain = _USUAL_LEVELS / level_count
-    # Cells of the padding are negatives like all others.
-    height_px, width_px = (side * head.strides_px[0] for side in answers.levels[0].shape[2:4])
-    object_gain = gain * height_px * width_px / _USUAL_SIDE_PX**2
-    truth = torch.cat(list(targets)).to(answers.levels[0])
-    counts = torch.tensor([len(own) for own in targets], device=truth.device)
-    whose = torch.arange(images, device=truth.device).repeat_interleave(counts)
-    losses = truth.new_zeros(images)
-    for number, raw in enumerate(answers.levels):
-        wanted = torch.zeros_like(raw[..., 4])
-        box, anchor, row, column = _positives(head, number, truth, raw.shape[2], raw.shape[3])
-        if len(box):
-            image = whose[box]
-            place = (image, anchor, row, column)
-            # Boxes in units of cells.
-            centres, sizes = head.centred(raw, number)
-            found = torch.cat([centres[place], sizes[place]], dim=1)
-            offset = box_convert(truth[box] / head.strides_px[number], "xyxy", "cxcywh")
-            offset[:, :2] -= torch.stack([column, row], dim=1)
-            missing = complete_box_iou_loss(
-                *(box_convert(each, "cxcywh", "xyxy") for each in (found, offset))
-            )
-            count = truth.new_zeros(images).index_add(0, image, torch.ones_like(missing))
-            summed = truth.new_zeros(images).index_add(0, image, missing)
-            losses = losses + _BOX_GAIN * gain * summed / count.clamp(min=1)
-            # Objectness should tell how good the box is.
-            quality = (1 - missing.detach()).clamp(min=0)
-            places = torch.arange(wanted.numel(), device=raw.device).view_as(wanted)[place]
-            wanted = wanted.flatten().scatter_reduce(0, places, quality, "amax").view_as(wanted)
-        entropy = functional.binary_cross_entropy_with_logits(raw[..., 4], wanted, reduction="none")
-        losses = losses + object_gain * weights[number] * entropy.mean(dim=(1, 2, 3))
-    return losses
-
-
-def _positives(
-    head: AnchorHead, level: int, truth: Tensor, height: int, width: int
-) -> tuple[Int[Tensor, " P"], ...]:
-    """Pairs boxes and anchors of similar size, by their numbers of box, anchor, row and column."""
-    own = truth / head.strides_px[level]
-    sizes = own[:, 2:] - own[:, :2]
-    ratio = sizes[None] / head.anchors_of(level)[:, None]
-    alike = torch.maximum(ratio, 1 / ratio).amax(dim=2) < _LARGEST_RATIO
-    anchor, box = alike.nonzero(as_tuple=True)
-    centre = ((own[:, :2] + own[:, 2:]) / 2)[box]
-    # A neighbour counts if the centre lies in the half of its cell that borders on it.
-    limit = centre.new_tensor([width, height])
-    low = (centre % 1 < 0.5) & (centre > 1)
-    high = ((limit - centre) % 1 < 0.5) & (limit - centre > 1)
-    counted = torch.stack(
-        [torch.ones_like(low[:, 0]), low[:, 0], low[:, 1], high[:, 0], high[:, 1]]
-    )
-    neighbour, row = counted.nonzero(as_tuple=True)
-    step = centre.new_tensor(_NEIGHBOURS)[neighbour] / 2
-    cell = (centre[row] - step).long()
-    rows, columns = cell[:, 1].clamp(0, height - 1), cell[:, 0].clamp(0, width - 1)
-    return box[row], anchor[row], rows, columns
-
-
 class AnchorDetector(TrainableDetector):
     """Ultralytics' backbone and neck with head and loss of the YOLOv5 of 2020 (section 5.3)."""
 
@@ -218,9 +125,14 @@ class AnchorDetector(TrainableDetector):
         self.model.model[-1] = head
 
     def loss(self, images: Images, targets: Sequence[Boxes]) -> Float[Tensor, " B"]:
-        """See `anchor_loss`; against an empty truth, no anchor should be an object."""
+        """The source's loss of objectness per image against an empty truth, padding included."""
         check_targets(images, targets)
-        return anchor_loss(self._head, self._answers(images), targets)
+        levels = self._answers(images).levels
+        height_px, width_px = (side * self._head.strides_px[0] for side in levels[0].shape[2:4])
+        gain = _USUAL_LEVELS / len(levels) * height_px * width_px / _USUAL_SIDE_PX**2
+        weights = _LEVEL_WEIGHTS.get(len(levels), _MANY_LEVEL_WEIGHTS)
+        terms = [functional.softplus(raw[..., 4]).mean(dim=(1, 2, 3)) for raw in levels]
+        return gain * (torch.stack(terms, dim=1) @ terms[0].new_tensor(weights[: len(terms)]))
 
     def candidates(self, images: Images) -> Candidates:
         """Every anchor's box, scored by objectness times the score of its best vehicle class."""
@@ -247,8 +159,3 @@ class AnchorDetector(TrainableDetector):
         # 114/255 is the grey YOLOv5 pads with.
         answers: AnchorAnswers = self.model(pad_to_stride(images, 114 / 255, stride_px))
         return answers
-
-
-def trainable_architecture(size: str) -> dict[str, Any]:
-    """The one-class architecture of a size: YOLOv5n ("slim") to YOLOv5s ("full")."""
-    return {**yolov5_architecture(size), "nc": 1, "anchors": [list(row) for row in _ANCHORS_PX]}

@@ -48,10 +48,6 @@ def build_detector(name: str, size: str, *, generator: torch.Generator) -> Train
             from skyproof.detectors.ultralytics_detectors import YoloV5Detector
 
             return YoloV5Detector(size)
-        if name == "yolov5_anchors":
-            from skyproof.detectors.anchor_detector import AnchorDetector, trainable_architecture
-
-            return AnchorDetector(trainable_architecture(size), [0], size)
         from skyproof.detectors.torchvision_detectors import FasterRcnnDetector, RetinaNetDetector
 
         return RetinaNetDetector(size) if name == "retinanet" else FasterRcnnDetector(size)

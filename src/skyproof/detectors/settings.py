@@ -12,7 +12,7 @@ from skyproof.ranges import Count, Fraction, check_ranges
 # Sizes of our own networks, for CPU and GPU.
 Size = Literal["slim", "full"]
 SIZES: tuple[Size, ...] = get_args(Size)
-DETECTOR_NAMES = ("retinanet", "faster_rcnn", "yolov5", "yolov5_anchors")
+DETECTOR_NAMES = ("retinanet", "faster_rcnn", "yolov5")
 
 
 @dataclass(frozen=True)

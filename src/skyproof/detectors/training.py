@@ -1,8 +1,8 @@
-"""Trains a detector from scratch, in a loop that survives a kill (section S1.1)."""
+"""Trains a detector, from scratch or further, in a loop that survives a kill (section S1.1)."""
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -24,7 +24,7 @@ from skyproof.detectors.settings import TrainingSettings
 from skyproof.detectors.validation import check_validation, validate
 from skyproof.errors import ConfigurationError, NotFiniteError
 from skyproof.files import alone
-from skyproof.loop import Loop, refuse_other
+from skyproof.loop import Loop, LoopPart, refuse_other
 
 _Tensors = tuple[Tensor, ...] | list[Tensor]
 
@@ -68,11 +68,43 @@ def train(
         "validation_sha256": validation.digest,
     }
     _check(training, validation)
+    device = next(detector.parameters()).device
+
+    def lessons(steps: range) -> Iterator[Tensor]:
+        make = partial(training_batch, training, settings, seed)
+        for images, targets in made_ahead(make, steps):
+            images = images.to(device).contiguous(memory_format=torch.channels_last)
+            loss = detector.loss(images, [boxes.to(device) for boxes in targets]).mean()
+            loss.backward()
+            yield loss.detach()
+
+    def card(best: Mapping[str, float]) -> DetectorCard:
+        return _card(detector, best, identity, training, validation)
+
+    return fit(detector.train(), validation, settings, folder, identity, lessons, card, on_step)
+
+
+def fit(
+    detector: TrainableDetector,
+    validation: Dataset,
+    settings: TrainingSettings,
+    folder: Path,
+    identity: dict[str, Any],
+    lessons: Callable[[range], Iterator[Tensor]],
+    card: Callable[[Mapping[str, float]], DetectorCard],
+    on_step: Callable[[dict[str, Any]], None] | None = None,
+    parts: Mapping[str, LoopPart] | None = None,
+) -> DetectorCard:
+    """Takes the steps of a training, as `train` says; the detector is in its mode of training.
+
+    `lessons` gets the steps to take, counted from 0. At each it adds the gradients of the step's
+    images, and gives their mean loss. `card` describes the detector by the scores of its best
+    weights. `parts` are further objects that change from step to step.
+    """
     if (folder / "detector.json").exists():
         return _finished(detector, folder, identity)
 
-    detector.train().to(memory_format=torch.channels_last)
-    device = next(detector.parameters()).device
+    detector.to(memory_format=torch.channels_last)
     averaged = _averaged(detector, settings)
     follower = cast(TrainableDetector, averaged.module)
     optimiser = _optimiser(detector, settings)
@@ -89,6 +121,7 @@ def train(
             "optimiser": optimiser,
             "schedule": schedule,
             "best": best,
+            **(parts or {}),
         },
         other=_OTHER,
         remedy=f"remove {folder} and train again",
@@ -99,37 +132,31 @@ def train(
         if (folder / "detector.json").exists():
             return _finished(detector, folder, identity)
         loop.resume()
-        make = partial(training_batch, training, settings, seed)
-        batches = made_ahead(make, range(loop.step, settings.steps))
-        for step, (images, targets) in zip(loop, batches, strict=True):
-            images = images.to(device).contiguous(memory_format=torch.channels_last)
-            loss = detector.loss(images, [boxes.to(device) for boxes in targets]).mean()
-            optimiser.zero_grad(set_to_none=True)
-            loss.backward()
+        optimiser.zero_grad(set_to_none=True)
+        for step, loss in zip(loop, lessons(range(loop.step, settings.steps)), strict=True):
             norm = nn.utils.clip_grad_norm_(detector.parameters(), settings.largest_gradient_norm)
             # One transfer for both, because each one waits for the GPU.
-            if not torch.isfinite(loss.detach() + norm):
+            if not torch.isfinite(loss + norm):
                 raise NotFiniteError(
                     f"The training loss is {loss.item():g} and its gradient {float(norm):g} at "
                     f"step {step}; train again in another folder, with a lower learning rate "
                     f"than {settings.learning_rate:g}."
                 )
             optimiser.step()
+            optimiser.zero_grad(set_to_none=True)
             (rate, _) = schedule.get_last_lr()
             schedule.step()
             averaged.update_parameters(detector)
-            loop.report(
-                {"kind": "step", "step": step, "loss": float(loss.detach()), "learning_rate": rate}
-            )
+            loop.report({"kind": "step", "step": step, "loss": float(loss), "learning_rate": rate})
             if step % settings.validate_every == 0 or step == settings.steps:
                 scores = validate(follower, validation)
                 best.keep(follower, scores, step)
                 loop.report({"kind": "validation", "step": step, **scores})
         detector.load_state_dict(best.weights)
-        card = _card(detector.eval(), best.scores, identity, training, validation)
-        save_detector(folder, detector, card)
+        made = card(best.scores)
+        save_detector(folder, detector.eval(), made)
         loop.forget()
-    return card
+    return made
 
 
 class _Best:
@@ -218,7 +245,7 @@ def _finished(detector: TrainableDetector, folder: Path, identity: dict[str, Any
 
 def _card(
     detector: TrainableDetector,
-    best: dict[str, float],
+    best: Mapping[str, float],
     identity: dict[str, Any],
     training: Dataset,
     validation: Dataset,

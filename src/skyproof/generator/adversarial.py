@@ -7,8 +7,6 @@ paper trains anew so that it gives a part map, too. Differences: 64 x 64 texels 
 
 from __future__ import annotations
 
-import math
-
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float
@@ -97,15 +95,6 @@ class AdversarialGenerator:
     def sample(self, generator: torch.Generator) -> LearntVehicle:
         """Makes a vehicle."""
         return self.decode(torch.randn(LATENT, generator=generator))
-
-    def between(self, count: int, generator: torch.Generator) -> list[LearntVehicle]:
-        """Makes two vehicles, and gives so many on the way from one to the other.
-
-        The way is an arc, on which latent vectors stay as long as those that were trained on.
-        """
-        first, last = torch.randn(2, LATENT, generator=generator)
-        angles = torch.linspace(0, math.pi / 2, count).tolist()
-        return [self.decode(math.cos(each) * first + math.sin(each) * last) for each in angles]
 
     def tensors(self) -> dict[str, Tensor]:
         """Gives all that was learnt, for a file."""

@@ -18,7 +18,6 @@ from skyproof.generator.adversarial import LATENT, PARTS, AdversarialGenerator, 
 from skyproof.generator.fits import FittedVehicles
 from skyproof.generator.maps import MAP_PX, half_grid, whole
 from skyproof.generator.settings import AdversarialSettings
-from skyproof.generator.sheets import write_preview
 from skyproof.loop import Loop
 from skyproof.randomness import generator_of
 
@@ -76,7 +75,7 @@ def learn_adversarially(
 ) -> AdversarialGenerator:
     """Trains the network; a stopped training goes on from its last checkpoint.
 
-    `folder` gets `steps.jsonl`, `previews/` and checkpoints, `on_step` each row of `steps.jsonl`.
+    `folder` gets `steps.jsonl` and checkpoints, `on_step` each row of `steps.jsonl`.
     """
     grids = half_grid(vehicles.vertices)
     mean = grids.mean(0, keepdim=True)
@@ -120,9 +119,6 @@ def learn_adversarially(
             for kept, current in zip(average.parameters(), network.parameters(), strict=True):
                 kept.lerp_(current, 1 - _EMA)
         loop.report({"step": step, **losses})
-        if step % settings.preview_every == 0:
-            preview = folder / "previews" / f"{step:06d}.png"
-            write_preview(preview, AdversarialGenerator(copy.deepcopy(average).cpu()), seed)
     return AdversarialGenerator(average.cpu())
 
 

@@ -1,4 +1,4 @@
-"""`skyproof learn-vehicles`: a generator of vehicles learnt from photographs, and its fleets."""
+"""`python -m skyproof.generator learn`: a generator learnt from photographs, and its fleets."""
 
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
@@ -118,8 +118,11 @@ class LearnVehicles:
                 "exchanged."
             )
         say(
-            f"Generator: {self.out.resolve()} (look at samples.png, between.png and turntable.png, "
-            "and at fits/00001.png, which has the worst fits)"
+            f"Generator: {self.out.resolve()} (look at samples.png, and at "
+            "fits/00001.png, which has the worst fits)"
         )
         if self.fleets is None:
-            say(f"Draw fleets with skyproof learn-vehicles --out {self.out} --fleets fleets.")
+            say(
+                "Draw fleets with python -m skyproof.generator learn --out "
+                f"{self.out} --fleets fleets."
+            )

@@ -32,10 +32,6 @@ class VehicleGenerator(Protocol):
         """Draws a vehicle; the same state of the generator gives the same one."""
         ...
 
-    def between(self, count: int, generator: torch.Generator) -> list[LearntVehicle]:
-        """Draws two vehicles, and gives so many on the way from one to the other, ends included."""
-        ...
-
 
 def sample_learnt_fleet(
     vehicles: VehicleGenerator,

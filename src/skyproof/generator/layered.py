@@ -121,14 +121,6 @@ class LayeredGenerator:
         body_type, latent = self.sample_latent(generator)
         return self.decode(body_type, latent, int(torch.randint(2**31, (), generator=generator)))
 
-    def between(self, count: int, generator: torch.Generator) -> list[LearntVehicle]:
-        """Draws two vehicles of one type, and gives so many on the way from one to the other."""
-        body_type, first = self.sample_latent(generator)
-        _, last = self.sample_latent(generator, body_type=body_type)
-        seed = int(torch.randint(2**31, (), generator=generator))
-        parts = torch.linspace(0, 1, count).tolist()
-        return [self.decode(body_type, torch.lerp(first, last, part), seed) for part in parts]
-
     def tensors(self) -> dict[str, Tensor]:
         """Gives all that was learnt, for a file."""
         return {

@@ -46,13 +46,11 @@ class AdversarialSettings:
         steps: number of optimiser steps of both networks.
         batch_size: maps per step.
         learning_rate: learning rate of the generator; the discriminator's is four times as high.
-        preview_every: steps between pictures of samples.
     """
 
     steps: _Steps = 4000
     batch_size: _Count = 16
     learning_rate: Annotated[float, Meta(gt=0, le=1)] = 2e-4
-    preview_every: _Steps = 500
 
     def __post_init__(self) -> None:
         check_ranges(self)

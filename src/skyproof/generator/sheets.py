@@ -1,6 +1,5 @@
 """Pictures of fits and of samples: for looking, not for measuring. Fits show the imagery."""
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,13 +12,12 @@ from torch import Tensor
 from skyproof.files import write_beside
 from skyproof.generator.fits import LARGEST_MISFIT, Fit, Prototype, fitted_texture
 from skyproof.generator.fitting import Fitter
-from skyproof.generator.fleet import VehicleGenerator, fleet_of, sample_learnt_fleet
+from skyproof.generator.fleet import VehicleGenerator, sample_learnt_fleet
 from skyproof.generator.maps import whole
 from skyproof.generator.photographed import Photographed, shown_pixels
 from skyproof.randomness import generator_of
 from skyproof.render.portrait import PART_COLOURS, close_up
 from skyproof.vehicles.fleet import Fleet, FleetSettings
-from skyproof.vehicles.vehicle import VehicleBatch
 
 _SIDE_PX = 192
 _CAPTION_PX = 16
@@ -28,10 +26,7 @@ _SAMPLES, _ABREAST = 24, 3
 _CLOSE_M, _COARSE_M = 0.016, 0.125
 _SIDE_M = 6.4
 _GREY = 0.5
-_ROWS_BETWEEN, _STEPS_BETWEEN = 4, 7
 Picture = UInt8[np.ndarray, "_ _ 3"]
-
-_TURNS, _ASLANT_RAD, _ASLANT_SIDE_M = 7, math.radians(50), 7.6
 
 
 def write_fit_sheets(
@@ -59,47 +54,17 @@ def write_fit_sheets(
 def write_sample_sheets(folder: Path, vehicles: VehicleGenerator, seed: int) -> None:
     """Writes what shows whether a generator is any good.
 
-    These are `samples.png`, 24 samples from above, finely and as detectors see them, and their part
-    maps; `between.png`, where every row leads from one sample to another; and `turntable.png`, some
-    samples aslant, from all sides.
+    `samples.png` has 24 samples from above, finely and as detectors see them, and their part maps.
     """
     generator = generator_of(seed, "sheet")
     fleet = sample_learnt_fleet(vehicles, FleetSettings(_SAMPLES), generator=generator)
-    few = fleet.ids[:: max(1, len(fleet) // _ROWS_BETWEEN)][:_ROWS_BETWEEN]
-    ways = [
-        fleet_of(vehicles.between(_STEPS_BETWEEN, generator), vehicles.method)
-        for _ in range(_ROWS_BETWEEN)
-    ]
     _save(folder / "samples.png", _sample_rows(fleet))
-    _save(folder / "between.png", [_row(each) for each in ways])
-    _save(folder / "turntable.png", [_turntable_row(fleet.batch([name])) for name in few])
 
 
-def write_preview(path: Path, vehicles: VehicleGenerator, seed: int) -> None:
-    """Writes some samples of a generator that still learns, always of the same draws."""
-    generator = generator_of(seed, "preview")
-    samples = [vehicles.sample(generator) for _ in range(_STEPS_BETWEEN)]
-    _save(path, [_row(fleet_of(samples, vehicles.method))], compress_level=6)
-
-
-def _save(path: Path, rows: Sequence[Picture], compress_level: int = 3) -> None:
+def _save(path: Path, rows: Sequence[Picture]) -> None:
     with write_beside(path) as temporary:
         sheet = Image.fromarray(np.concatenate(rows))
-        sheet.save(temporary, compress_level=compress_level)
-
-
-def _row(fleet: Fleet) -> Picture:
-    """Draws vehicles side by side from above, and their part maps below."""
-    close = close_up(fleet.batch(fleet.ids), gsd_m=_CLOSE_M, side_m=_SIDE_M)
-    above = np.concatenate([*map(_cell, close)], axis=1)
-    return np.concatenate([above, np.concatenate([*map(_parts, fleet.parts)], axis=1)])
-
-
-def _turntable_row(vehicle: VehicleBatch) -> Picture:
-    aslant = {"gsd_m": _CLOSE_M, "side_m": _ASLANT_SIDE_M, "tilt_rad": _ASLANT_RAD}
-    turns = [2 * math.pi * number / _TURNS for number in range(_TURNS)]
-    views = [close_up(vehicle, **aslant, heading_rad=turn)[0] for turn in turns]
-    return np.concatenate([*map(_cell, views)], axis=1)
+        sheet.save(temporary, compress_level=3)
 
 
 def _sample_rows(fleet: Fleet) -> list[Picture]:

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from skyproof import words
 from skyproof.camouflage.name import CamouflageName
+from skyproof.detectors.settings import SIZES
 from skyproof.layout import Layout
 from skyproof.results.conditions import Bin, Panel
-from skyproof.results.precheck import findings
 from skyproof.results.result import MEAN, Result
 from skyproof.results.results import Results
 from skyproof.results.stored import AttackRecord
@@ -17,8 +17,6 @@ from skyproof.results.weak import weak_attacks
 
 _MUCH_BY_CHANCE = 0.1
 _STRONGEST = 2
-# Kinds of change in a precheck that are paints.
-_PAINTS = ("paint_body", "paint_whole", "two_tone", "control")
 
 
 def advice(rows: Sequence[Result]) -> list[str]:
@@ -116,72 +114,47 @@ def _attacked(results: Results, camouflage: CamouflageName) -> list[str]:
 
 @dataclass(frozen=True)
 class Hardening:
-    """Images that train the weaknesses away."""
+    """How to train the weaknesses away: the attacks, and commands to give in the run folder.
 
-    paints: bool  # whether images of many paints come first
-    images: Sequence[str]  # sentences that name the images to add
-    commands: Sequence[str]  # render them in the run folder
+    A detector that skyproof trained is `ours`: one command trains it further. For others, commands
+    render images to add to their training.
+    """
+
+    attacks: Sequence[str]
+    ours: bool
+    commands: Sequence[str]
 
 
-def hardening(
-    results: Results,
-    every: Sequence[Result],
-    panels: Callable[[Result], Sequence[Panel]],
-) -> Hardening | None:
-    """Names the images that help against the strongest attacks, and how to make them.
+def hardening(results: Results, every: Sequence[Result]) -> Hardening | None:
+    """Names the strongest attacks and the commands that help against them.
 
-    They show the attack split, as those of the test would flatter the next test. None where no
+    Images show the attack split, as those of the test would flatter the next test. None where no
     attack surely hides anything, or the run folder lacks what is needed.
     """
     layout = Layout(results.folder)
-    fleet = layout.fleets / "attack"
     known = [row for row in every if row.easr.low > 0 and _folder(results, row.camouflage)]
     ranked = sorted(known, key=lambda row: -row.easr.estimate)[:_STRONGEST]
-    needed = (layout.backgrounds / "index.json", fleet)
+    needed = (layout.backgrounds / "index.json", layout.fleets / "attack")
     if not ranked or not results.test_scenes or not all(place.exists() for place in needed):
         return None
-    names = [shlex.quote(str(_folder(results, row.camouflage))) for row in ranked]
-    shown = " and ".join(str(row.camouflage) for row in ranked)
-    images = [
-        f"{shown} {'hide' if len(ranked) > 1 else 'hides'} most. Add images of such vehicles with "
-        "their labels to the training images. The commands below render them on the ground and "
-        "with the vehicles of the attack, not those of the test."
+    attacks = [str(row.camouflage) for row in ranked]
+    cards = [results.cards[name] for name in results.detectors if name in results.cards]
+    if results.config.suite and len(cards) == 1 and cards[0].size in SIZES:
+        return Hardening(attacks, True, ["skyproof harden . --out ../hardened"])
+    size_px = results.test_scenes[0].camera.size_px
+    scenes = f"--backgrounds backgrounds --split attack --settings.size-px {size_px} --labels yolo"
+    commands = [
+        "skyproof vehicles --counts 200 1 1 1 --seed 1 --out hardening/fleets",
+        f"skyproof render {scenes} --fleet hardening/fleets/train --count 800 --seed 2 "
+        "--out hardening/paints",
     ]
     for row in ranked:
-        for panel in panels(row):
-            extremes = _extremes(panel)
-            if extremes is not None and _apart(*extremes):
-                images.append(
-                    f"{row.camouflage} hides most at {panel.title.lower()} "
-                    f"{_told(extremes[0])}: include such views."
-                )
-    size_px = results.test_scenes[0].camera.size_px
-    paints = _fails_at_paints(results)
-    attack = "--backgrounds backgrounds --fleet fleets/attack"
-    commands = [
-        f"skyproof render {attack} --split attack --count 400 --seed 1 --settings.size-px "
-        f"{size_px} --camouflage camouflages/{name} --labels yolo --out hardening/{name}"
-        for name in names
-    ]
-    if paints:
-        painted = "--backgrounds backgrounds --fleet hardening/fleets/train"
-        commands = [
-            "skyproof vehicles --counts 200 1 1 1 --seed 1 --out hardening/fleets",
-            f"skyproof render {painted} --split attack --count 800 --seed 2 --settings.size-px "
-            f"{size_px} --labels yolo --out hardening/paints",
-            *commands,
-        ]
-    return Hardening(paints, images, commands)
-
-
-def _fails_at_paints(results: Results) -> bool:
-    """Whether a detector failed its precheck at paints or random patterns."""
-    records = [record for name, record in results.prechecks.items() if name in results.detectors]
-    return any(
-        each.outcome == "failed" and bool(each.rates) and each.rates[0].kind in _PAINTS
-        for record in records
-        for each in findings(record)
-    )
+        name = shlex.quote(str(_folder(results, row.camouflage)))
+        commands.append(
+            f"skyproof render {scenes} --fleet fleets/attack --count 400 --seed 1 "
+            f"--camouflage camouflages/{name} --out hardening/{name}"
+        )
+    return Hardening(attacks, False, commands)
 
 
 def readings(panels: Sequence[Panel]) -> list[str]:

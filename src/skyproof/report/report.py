@@ -139,7 +139,7 @@ def _write(
     exhibits = [] if few else _exhibits([row for row in every if row not in in_full])
     precheck = precheck_part(results)
     baselines = baseline_sets(results)
-    hardened = hardening(results, every, contents.panels)
+    hardened = hardening(results, every)
     page = (
         templates("skyproof.report")
         .get_template("report.html.j2")

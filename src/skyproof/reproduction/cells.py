@@ -212,14 +212,9 @@ def sign(value: int | None) -> str:
     return "–" if value is None else f"{value:+d}".replace("-", "−") if value else "0"
 
 
-def word(value: bool | None) -> str:
-    """Writes yes or no."""
-    return "–" if value is None else "yes" if value else "no"
-
-
 def _plain(value: Any) -> str:
     if value is None or value != value:
         return "–"
     if isinstance(value, bool):
-        return word(value)
+        return "yes" if value else "no"
     return f"{value:.4f}".rstrip("0").rstrip(".") if isinstance(value, float) else str(value)

@@ -31,16 +31,6 @@ class AttackJob:
     best_of: int = BEST_OF
     conditions: tuple[str, ...] = ("clear",)
 
-    @property
-    def folders(self) -> tuple[str, ...]:
-        """The folders to score, relative to `camouflages/`: its own and its kept copies."""
-        name = self.name
-        copies = [f"step{step}" for step in self.settings.keep_at]
-        learns_colours = name.constraints is not None and name.constraints.colours != "free"
-        if copies and learns_colours and self.texture is None:
-            copies.append("relaxed")
-        return (str(name), *(f"{name}/snapshots/{name.with_variant(copy)}" for copy in copies))
-
 
 class Jobs:
     """What a preset attacks, draws and scores.
@@ -55,7 +45,7 @@ class Jobs:
         looked_at: all textures, and an optimised shape and combination of each kind.
         cycles_batches: random controls and finished attacks on all detectors, as in the paper's
             "Blender" column.
-        held_out_batches: everything but copies.
+        held_out_batches: everything but transferred attacks and those in weather.
         repeated: attacks that every further training repeats.
     """
 
@@ -74,7 +64,7 @@ class Jobs:
         self.chosen = {str(job.name): job for job in self._chosen()}
         self.shapes = self._shapes()
 
-        folders = [folder for job in jobs for folder in job.folders]
+        folders = [str(job.name) for job in jobs]
         late = [*self.chosen, *(name for names in self.shapes.values() for name in names)]
         featured = {*self._featured()}
         self.featured = tuple(n for n in (*self.controls, *folders, *late) if n in featured)
@@ -122,15 +112,12 @@ class Jobs:
                         yield AttackJob(name, *every)
 
     def _repeat(self, kind: AttackJob, repeat: int) -> AttackJob:
-        """One repeat of an attack; the first keeps copies on its way."""
+        """One repeat of an attack."""
         preset = self._preset
         name = kind.name.with_repeat(repeat)
         steps = preset.attack_steps.of(name)
-        measured = name.magnitude in (None, preset.ladder_magnitude)
-        climbs = repeat == 0 and not name.variant and measured
-        rungs = tuple(step for step in preset.ladder_steps if step < steps) if climbs else ()
         seed = next_seed(preset.seed, repeat)
-        settings = replace(kind.settings, steps=steps, seed=seed, keep_at=rungs)
+        settings = replace(kind.settings, steps=steps, seed=seed)
         under = CamouflageName("texture", name.constraints).with_repeat(repeat)
         texture = str(under) if name.order == "seq" else None
         return replace(kind, name=name, settings=settings, texture=texture)
@@ -155,7 +142,7 @@ class Jobs:
         shapes: dict[str, list[str]] = {}
         for job in self.attacks.values() if preset.best_of else ():
             control = job.name.random_shape
-            if control is None or control.magnitude != preset.ladder_magnitude:
+            if control is None or control.magnitude != preset.control_magnitude:
                 continue
             # A sequential attack has its texture from another, a parallel one its own.
             draws = range(int(job.name.repeat), preset.draws, preset.repeats)
@@ -174,7 +161,7 @@ class Jobs:
     def _is_shown(self, name: CamouflageName) -> bool:
         if name.kind == "texture":
             return True
-        shown = name.magnitude == self._preset.ladder_magnitude and name.repeat == "0"
+        shown = name.magnitude == self._preset.control_magnitude and name.repeat == "0"
         return shown and not name.random
 
     def _on_cycles(self, names: Iterable[CamouflageName]) -> list[CamouflageName]:

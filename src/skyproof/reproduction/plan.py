@@ -188,7 +188,7 @@ def _training_steps(
     for job in jobs.repeated:
         # Every repeat on every training has a seed of its own.
         seed = next_seed(job.settings.seed, number * repeats)
-        settings = replace(job.settings, seed=seed, keep_at=())
+        settings = replace(job.settings, seed=seed)
         steps.append(make.attack(replace(job, settings=settings)))
     out = layout.training(number)
     for name, folders in jobs.repeated_batches.items():

@@ -58,7 +58,7 @@ MOST_SCENES = 200
 """Scenes, the first, at whose vehicles features are stored: some 600 vehicles, as many as a picture
 of points can show. Scenes are drawn independently, so the first are a fair sample."""
 
-Known = Literal["retinanet", "faster_rcnn", "yolov5", "yolov5_anchors"]
+Known = Literal["retinanet", "faster_rcnn", "yolov5"]
 _Magnitude = Annotated[float, Meta(gt=0, le=1)]
 _Magnitudes = Annotated[tuple[_Magnitude, ...], Meta(max_length=100)]
 _Few = Annotated[int, Meta(ge=1, le=100)]
@@ -149,7 +149,7 @@ class Preset:
         seed: seed of everything; repeat k of an attack takes seed + k.
         detectors: detectors that are attacked together and scored one by one (section 3.2).
         training: changes of `TrainingSettings` per detector that the run trains.
-        attack: settings of all attacks but for steps, seed and kept copies.
+        attack: settings of all attacks but for steps and seed.
         textures: constraints of the textures, such as PixFcMa; Fc and PixFc also make parallel
             combinations.
         repeats: attacks of each kind, from different seeds.
@@ -164,9 +164,7 @@ class Preset:
         cycles_repeats: repeats and draws in the Cycles column.
         cycles_headlines: camouflages with all repeats, as many draws and the chosen controls in the
             Cycles column.
-        ladder_steps: steps after which the first repeat of every attack keeps a copy.
-        ladder_magnitude: PM of the shapes and combinations that keep copies, and of random shapes
-            on optimised textures.
+        control_magnitude: PM of random shapes on optimised textures, and of the pictured shapes.
         score_batch: camouflages scored in one step; a quarter of them on Cycles.
         reference: detectors that are taken as they come with skyproof.
         best_of: draws of the best-of-N control; 0 for no chosen control.
@@ -192,8 +190,7 @@ class Preset:
     magnitudes: _Magnitudes
     combined_magnitudes: Mapping[_Word, _Magnitudes]
     transfer: _Textures
-    ladder_steps: Annotated[tuple[Count, ...], Meta(max_length=100)]
-    ladder_magnitude: _Magnitude
+    control_magnitude: _Magnitude
     score_batch: Count
     threads: Annotated[int, Meta(ge=1, le=1024)]
     resources: Resources

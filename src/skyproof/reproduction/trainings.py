@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
-from msgspec import Struct
 
 from skyproof.camouflage.name import CamouflageName
-from skyproof.detectors.card import DetectorCard, Digest
-from skyproof.documents import check_document
+from skyproof.detectors.card import DetectorCard
 from skyproof.errors import ConfigurationError
-from skyproof.ranges import WholeNumber
 from skyproof.reproduction.cells import (
     Block,
     Heading,
@@ -36,29 +32,9 @@ from skyproof.results.results import RENDERER, Results
 from skyproof.results.score_folder import ScoreFolder, merge_scores
 from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
 from skyproof.results.statistics.intervals import Interval, Sample, overall_attack_success_rate
-from skyproof.results.statistics.repeats import DRAWS, SEEDS, TRAININGS, Repeat
+from skyproof.results.statistics.repeats import SEEDS, TRAININGS, Repeat
 from skyproof.results.stored import read_detectors
 from skyproof.words import detector_name
-
-_REMEDY = "put only trainings of one recipe on the same images into one run"
-
-
-class _Identity(Struct, frozen=True):
-    settings: dict[str, float] = {}
-
-
-class _Recipe(Struct, frozen=True):
-    """The part of a card's training by which trainings are compared."""
-
-    identity: _Identity = _Identity()
-    images: WholeNumber | None = None
-    data_sha256: Digest = ""
-    validation_sha256: Digest = ""
-
-    @classmethod
-    def of(cls, card: DetectorCard) -> _Recipe:
-        place = f"The card of {card.name}, training"
-        return check_document(card.training, cls, place, "copy the whole folder again")
 
 
 @dataclass(frozen=True)
@@ -113,11 +89,11 @@ def _blocks(trainings: Sequence[_Training], rows: Sequence[Mapping[str, Any]]) -
     seeds = max(row["seeds"] for row in rows)
     text = (
         f"All else on this page is about one training of each detector, number 0. Number {others} "
-        f"learnt from the same images by the same recipe ({_recipe(trainings[0])}), from other "
-        f"seeds ({_standing(trainings)}). Every attack was learnt on each anew, "
+        f"learnt from the same images by the same recipe, from other seeds "
+        f"({_standing(trainings)}). Every attack was learnt on each anew, "
         f"{'once' if seeds == 1 else f'from {seeds} seeds'}. EASR of each training, and their mean "
         "with an interval that covers tiles, vehicles and trainings; what seeds do is a part of "
-        "how trainings differ. SE are standard errors by what was drawn, in points."
+        "how trainings differ."
     )
     net = (
         "Net of the random control; its draws are the same for every training, and the intervals "
@@ -126,14 +102,9 @@ def _blocks(trainings: Sequence[_Training], rows: Sequence[Mapping[str, Any]]) -
     return [
         heading,
         text,
-        _grid(rows, numbers, "easr", ("tile", "vehicle", "training")),
+        _grid(rows, numbers, "easr"),
         net,
-        _grid(
-            [row for row in rows if row["net_easr"] is not None],
-            numbers,
-            "net_easr",
-            ("tile", "vehicle", "draw", "training"),
-        ),
+        _grid([row for row in rows if row["net_easr"] is not None], numbers, "net_easr"),
     ]
 
 
@@ -167,7 +138,6 @@ class _Trainings:
             "trainings": len(self.each),
             "seeds": len(repeats),
             **self._columns("easr", easr, rates.mean(axis=1)),
-            "easr_seed_se": _seed_error(rates),
             "random_draws": len(draws),
         }
         if not draws:
@@ -176,8 +146,7 @@ class _Trainings:
         net = difference_interval([learnt], [drawn])
         random = self._rates(drawn, len(draws)).mean(axis=1)
         row["random_easr"] = 100 * float(random.mean())
-        row |= self._columns("net_easr", net, rates.mean(axis=1) - random)
-        return row | {"net_easr_draw_se": _points(net.errors.get(DRAWS.name))}
+        return row | self._columns("net_easr", net, rates.mean(axis=1) - random)
 
     def _group(self, camouflages: Sequence[str], detectors: Sequence[str]) -> Group:
         """Gathers series by training, repeat and detector; draws are the same for all trainings."""
@@ -204,7 +173,6 @@ class _Trainings:
     def _columns(
         self, name: str, interval: Interval, rates: Float[np.ndarray, " K"]
     ) -> dict[str, Any]:
-        errors = interval.errors
         return {
             **{
                 f"{name}_training_{training.number}": 100 * float(rate)
@@ -212,27 +180,10 @@ class _Trainings:
             },
             **interval_cells(name, interval, 100.0),
             f"{name}_training_sd": 100 * float(rates.std(ddof=1)),
-            f"{name}_tile_se": _points(errors.get("tiles")),
-            f"{name}_vehicle_se": _points(errors.get("vehicles")),
-            f"{name}_training_se": _points(errors.get(TRAININGS.name)),
         }
 
 
-def _seed_error(rates: Float[np.ndarray, "K R"]) -> float | None:
-    """Gives the part of the trainings' standard error that seeds make, in points."""
-    trainings, seeds = rates.shape
-    if seeds < 2:
-        return None
-    return 100 * math.sqrt(float(rates.var(axis=1, ddof=1).mean()) / (trainings * seeds))
-
-
-def _points(error: float | None) -> float | None:
-    return None if error is None else 100 * error
-
-
-def _grid(
-    rows: Sequence[Mapping[str, Any]], numbers: Sequence[int], name: str, errors: Sequence[str]
-) -> Block:
+def _grid(rows: Sequence[Mapping[str, Any]], numbers: Sequence[int], name: str) -> Block:
     if not rows:
         return "No random control was scored on every training."
     return TextTable.of(
@@ -242,23 +193,9 @@ def _grid(
             ("detector", detector_of),
             *((f"training {each}", value(f"{name}_training_{each}")) for each in numbers),
             ("EASR" if name == "easr" else "net EASR", rate(name)),
-            *((f"SE by {each}s", value(f"{name}_{each}_se")) for each in errors),
+            ("SD of trainings", value(f"{name}_training_sd")),
         ],
     )
-
-
-def _recipe(training: _Training) -> str:
-    """How long the detectors were trained, and on how much."""
-    told = []
-    recipes = {name: _Recipe.of(card) for name, card in training.cards.items()}
-    for name, recipe in recipes.items():
-        steps = recipe.identity.settings.get("steps")
-        if steps is not None:
-            told.append(f"{detector_name(name)} {steps:,.0f} steps")
-    images = next((recipe.images for recipe in recipes.values()), None)
-    if images is not None:
-        told.append(f"{images:,} images")
-    return ", ".join(told) or "not recorded"
 
 
 def _standing(trainings: Sequence[_Training]) -> str:
@@ -289,9 +226,6 @@ def read_trainings(results: Results) -> list[_Training]:
         training = _Training.of(which, counts, read_detectors(place.detectors))
         _refuse_other_vehicles(own, training)
         trainings.append(training)
-    for later, training in enumerate(trainings):
-        for earlier in trainings[:later]:
-            _refuse_other_data(earlier, training)
     return trainings
 
 
@@ -307,41 +241,3 @@ def _refuse_other_vehicles(own: _Training, training: _Training) -> None:
             f"Training {training.number} was scored by {', '.join(judges[1])}, but training "
             f"{own.number} by {', '.join(judges[0])}; train and score every detector as often."
         )
-
-
-def _refuse_other_data(earlier: _Training, training: _Training) -> None:
-    """Trainings of other data or another recipe would differ by more than chance."""
-    for name, card in training.cards.items():
-        before = earlier.cards.get(name)
-        if before is None:
-            continue
-        which = f"Trainings {earlier.number} and {training.number} of {name}"
-        known = _learnt_from(before)
-        for what, found in _learnt_from(card).items():
-            if known[what] != found:
-                raise ConfigurationError(
-                    f"{which} differ in their {what} ({_short(known[what])} and {_short(found)}), "
-                    f"so that they do not show what chance alone does; {_REMEDY}."
-                )
-        if card.weights_sha256 and card.weights_sha256 == before.weights_sha256:
-            raise ConfigurationError(
-                f"{which} have the same weights, and so are one training; train again from "
-                "another seed, or leave one out."
-            )
-
-
-def _learnt_from(card: DetectorCard) -> dict[str, Any]:
-    recipe = _Recipe.of(card)
-    return {
-        "number of training images": recipe.images,
-        "training images": recipe.data_sha256,
-        "validation images": recipe.validation_sha256,
-        "origin of the training images": card.trained_on,
-        "size": card.size,
-        "settings": recipe.identity.settings,
-    }
-
-
-def _short(value: Any) -> str:
-    text = "unknown" if value in ("", None) else str(value)
-    return text[:12] if len(text) == 64 else text[:300]

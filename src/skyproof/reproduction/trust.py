@@ -1,15 +1,11 @@
-"""Can the attacks be trusted? Tests, gradients, strength, convergence, rounding, other rules."""
+"""Can the attacks be trusted? Tests, gradients, convergence, other rules."""
 
-import itertools
-import re
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from skyproof.reproduction.cells import (
     Block,
     Heading,
-    Table,
     TextTable,
     Topic,
     at_equal_alarms,
@@ -17,36 +13,29 @@ from skyproof.reproduction.cells import (
     interval_cells,
     rate,
     value,
-    word,
 )
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.results.operating_points import alarms_in_words
 from skyproof.results.result import LENIENT_MATCH
-from skyproof.results.stored import Discretisation
 from skyproof.results.weak import weak_attacks
 from skyproof.words import probability
 
 _SURE = 0.05
 _OVERLAP = "iou_50"
 _LENIENT = f"easr_{LENIENT_MATCH}"
-_RUNG = re.compile(r"(?P<base>.+)_step(?P<step>\d+)-(?P<repeat>\d+)")
 
 
 def trust_part(run: Reproduction, rows: Sequence[Mapping[str, Any]]) -> Topic:
     """Says what is left of chance in the rows of the paper's tables, and how attacks converge."""
     signs = _sign_rows(run)
-    ladder = _ladder_rows(run)
     convergence = _convergence_rows(run)
-    gap = _gap_rows(run)
     return Topic.of(
         "Can the attacks be trusted?",
-        {"ladder": ladder, "convergence": convergence, "signs": signs, "gap": gap},
+        {"convergence": convergence, "signs": signs},
         _tests(run, rows),
         *_signs(signs),
-        *_ladder(ladder),
         *_convergence(convergence),
         *_weak(weak_attacks(run.results)),
-        *_gap(gap),
     )
 
 
@@ -131,66 +120,6 @@ def _signs(rows: Sequence[Mapping[str, Any]]) -> list[Block]:
     return [text]
 
 
-def _ladder_rows(run: Reproduction) -> list[dict[str, Any]]:
-    """EASR of one repeat after some of its steps and after all."""
-    rungs: dict[str, dict[int, str]] = defaultdict(dict)
-    for key in run.results.counts.series:
-        if found := _RUNG.fullmatch(key.camouflage):
-            name = f"{found['base']}-{found['repeat']}"
-            rungs[name][int(found["step"])] = key.camouflage
-    rows = []
-    for name, steps in rungs.items():
-        ladder = [(f"after_{step}", steps[step]) for step in sorted(steps)] + [("after_all", name)]
-        easr = [_percent(run.results.single_easr(camouflage)) for _, camouflage in ladder]
-        changes = [
-            run.results.difference(later, earlier)
-            for (_, earlier), (_, later) in itertools.pairwise(ladder)
-        ]
-        known = [value for value in easr if value is not None]
-        # A fall counts where its whole interval lies below zero.
-        falls = [change.high < 0 for change in changes if change is not None]
-        rows.append(
-            {
-                "attack": name,
-                **{label: value for (label, _), value in zip(ladder, easr, strict=True)},
-                "never_falls": known == sorted(known) if len(known) == len(easr) else None,
-                "never_surely_falls": not any(falls) if len(falls) == len(changes) else None,
-            }
-        )
-    return rows
-
-
-def _percent(share: float | None) -> float | None:
-    return None if share is None else 100 * share
-
-
-def _ladder(rows: Sequence[Mapping[str, Any]]) -> list[Block]:
-    if not rows:
-        return []
-    columns = sorted(
-        (c for c in Table("ladder", rows).columns if c.startswith("after_") and c != "after_all"),
-        key=lambda c: int(c[6:]),
-    )
-    columns.append("after_all")
-    holds = sum(row["never_surely_falls"] is True for row in rows)
-    strict = sum(row["never_falls"] is True for row in rows)
-    text = (
-        "EASR of the first repeat after so many steps. From rung to rung it never falls in "
-        f"{strict} of {len(rows)} attacks; in {holds} no fall is certain (its 95 % interval "
-        "reaches zero)."
-    )
-    grid = TextTable.of(
-        rows,
-        [
-            ("attack", "attack"),
-            *((column[6:].replace("all", "all steps"), value(column)) for column in columns),
-            ("never falls", lambda row: word(row["never_falls"])),
-            ("no certain fall", lambda row: word(row["never_surely_falls"])),
-        ],
-    )
-    return [Heading("Strength ladder", 3), text, grid]
-
-
 def _convergence_rows(run: Reproduction) -> list[dict[str, Any]]:
     """What each attack hid half-way and at the end, on scenes of its own world."""
     rows: list[dict[str, Any]] = []
@@ -244,36 +173,6 @@ def _weak(attacks: Sequence[str]) -> list[Block]:
     return [
         Heading("Weak attacks", 3),
         f"Beaten by what they could have found: {'; '.join(attacks)}.",
-    ]
-
-
-def _gap_rows(run: Reproduction) -> list[dict[str, Any]]:
-    """EASR and losses of attacks on few colours, before the last rounding and after it."""
-    rows = []
-    for key in dict.fromkeys(key.camouflage for key in run.results.counts.series):
-        if "_relaxed-" not in key:
-            continue
-        name = key.replace("_relaxed-", "-")
-        row: dict[str, Any] = {
-            "attack": name,
-            "easr_before": _percent(run.results.single_easr(key)),
-            "easr_after": _percent(run.results.single_easr(name)),
-        }
-        record = run.results.records.get(name)
-        losses = record.discretisation if record else Discretisation()
-        for when, means in (("before", losses.before), ("after", losses.after)):
-            row |= {f"loss_{detector}_{when}": value for detector, value in means.items()}
-        rows.append(row)
-    return rows
-
-
-def _gap(rows: Sequence[Mapping[str, Any]]) -> list[Block]:
-    if not rows:
-        return []
-    columns = [("EASR before", value("easr_before")), ("EASR after", value("easr_after"))]
-    return [
-        Heading("Rounding to few colours", 3),
-        TextTable.of(rows, [("attack", "attack"), *columns]),
     ]
 
 

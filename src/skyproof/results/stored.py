@@ -60,13 +60,6 @@ class _Attack(Struct, frozen=True):
     settings: _Settings = _Settings()
 
 
-class Discretisation(Struct, frozen=True):
-    """Loss of each detector before and after the last rounding."""
-
-    before: dict[Label, Finite] = {}
-    after: dict[Label, Finite] = {}
-
-
 class Convergence(Struct, frozen=True):
     """Mean EASR over detectors after half of an attack's steps and all, on scenes outside it."""
 
@@ -88,7 +81,6 @@ class AttackRecord(Struct, frozen=True):
     attack: _Attack | None = None
     convergence: Convergence | None = None
     queries: Queries | None = None
-    discretisation: Discretisation = Discretisation()
     sign_test: dict[Label, dict[Label, Number | bool | Text | None]] | None = None
 
     @property

@@ -1,0 +1,228 @@
+"""Hardening: a detector learns vehicles in camouflages that are optimised against it meanwhile."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from skyproof.attacks.world import World
+from skyproof.camouflage.camouflage import Camouflage
+from skyproof.camouflage.make import make_camouflage
+from skyproof.camouflage.name import CamouflageName
+from skyproof.camouflage.palette import ground_palette
+from skyproof.datasets.dataset import Dataset
+from skyproof.datasets.pictures import made_ahead
+from skyproof.detectors.batches import jitter, training_batch
+from skyproof.detectors.card import DetectorCard, installed_version
+from skyproof.detectors.detector import TrainableDetector
+from skyproof.detectors.inference import device_of
+from skyproof.detectors.settings import TrainingSettings
+from skyproof.detectors.training import fit
+from skyproof.randomness import generator_of
+from skyproof.scenes.scene import Scene
+
+# T-PixFcMa, shapes and combinations are left out, so that they show whether hardening carries over.
+_ATTACKS = ("T-U", "T-Ma", "T-Pix")
+_ALIVE, _LIFE_STEPS = 4, 80
+# Camouflages that are kept, and the share of steps that show one, so that none is forgotten.
+_KEPT, _KEPT_SHARE = 12, 0.3
+_LEARNING_RATE = 0.1
+_WEATHER = ("clear", "haze", "overcast", "exposure", "noise", "jpeg", "low_sun", "low_sun")
+# Of images without optimised camouflage; and vehicles on an image as small as those of attacks.
+_EMPTY_SHARE, _MOST_VEHICLES = 0.2, 3
+
+
+def harden(
+    detector: TrainableDetector,
+    world: World,
+    photographs: Dataset | None,
+    validation: Dataset,
+    settings: TrainingSettings,
+    folder: Path,
+    *,
+    seed: int,
+    on_step: Callable[[dict[str, Any]], None] | None = None,
+) -> DetectorCard:
+    """Trains a detector further, in place and into `folder`, and freezes a new threshold.
+
+    Half of a step's images show vehicles in one of four universal camouflages, a quarter vehicles
+    in the paints of the fleet or none, and a quarter labelled photographs, if there are any. One
+    backward pass gives the gradients of the network, which go down, and those of the camouflage,
+    which go up ("free" adversarial training, Shafahi et al. 2019). A camouflage is optimised for 80
+    steps of its own. Then a fresh one follows it, and the old one returns from time to time.
+
+    A stopped hardening continues as `train` does. The averaged weights of the last step are kept,
+    because scores on images without camouflage say nothing about robustness.
+
+    Args:
+        detector: one of ours with its card, on the device to work on.
+        world: ground, and vehicles in many paints, apart from those of any test.
+        photographs: labelled images, apart from those of any test.
+        validation: labelled images to freeze the threshold on.
+        settings: steps, images per step and learning rate.
+        folder: detector folder to write.
+
+    Raises as `train` does.
+    """
+    parent = detector.card
+    device = device_of(detector)
+    settings = replace(settings, validate_every=settings.steps)
+    identity = {
+        "seed": seed,
+        "settings": asdict(settings),
+        "attacks": list(_ATTACKS),
+        "parent_sha256": detector.weights_sha256,
+        "world_sha256": world.digest,
+        "data_sha256": None if photographs is None else photographs.digest,
+        "validation_sha256": validation.digest,
+    }
+    worn = _Worn(seed, ground_palette(world.backgrounds), device)
+
+    def lessons(steps: range) -> Iterator[Tensor]:
+        make = partial(_plain_batches, world, photographs, settings, seed)
+        for step, batches in zip(steps, made_ahead(make, steps), strict=True):
+            draw = generator_of(seed, "attacked", step)
+            scenes = _draw(world, settings.batch_size // 2, draw)
+            camouflage, climber = worn.of_step(step, draw)
+            with torch.set_grad_enabled(climber is not None):
+                frames = world.frames(camouflage, scenes)
+            shown = frames.image.detach().requires_grad_()
+            boxes = [frames.boxes[frames.scene_index == row].detach() for row in range(len(scenes))]
+            attacked = (jitter(shown, settings.jitter, generator=draw), boxes)
+            total = torch.zeros((), device=device)
+            for images, targets in (attacked, *batches):
+                images = images.to(device).contiguous(memory_format=torch.channels_last)
+                loss = detector.loss(images, [each.to(device) for each in targets]).sum()
+                (loss / settings.batch_size).backward()
+                total += loss.detach() / settings.batch_size
+            if climber is not None and shown.grad is not None:
+                frames.image.backward(-shown.grad)
+                climber.step()
+                climber.zero_grad(set_to_none=True)
+                camouflage.project_()
+            yield total
+
+    def card(best: Mapping[str, float]) -> DetectorCard:
+        return replace(
+            parent,
+            threshold=best["threshold"],
+            training={"identity": identity, "parent": parent.training},
+            validation={key: best[key] for key in ("ap_centre_1m", "ap_iou_50", "f1")},
+            validation_vehicles=sum(map(len, validation.boxes)),
+            skyproof_version=installed_version(),
+            threshold_from="",
+        )
+
+    detector.train().requires_grad_(True)
+    for layer in detector.modules():
+        # A few small images would spoil the statistics of a whole training.
+        if isinstance(layer, nn.modules.batchnorm._BatchNorm):
+            layer.eval()
+    return fit(
+        detector, validation, settings, folder, identity, lessons, card, on_step, {"worn": worn}
+    )
+
+
+def _draw(
+    world: World, count: int, generator: torch.Generator, *, empty: float = 0.0
+) -> list[Scene]:
+    """Draws scenes in all weathers, an `empty` share of them without vehicles."""
+    settings = replace(
+        world.scenes, vehicles_maximum=_MOST_VEHICLES, conditions=_WEATHER, empty_share=empty
+    )
+    return replace(world, scenes=settings).draw(count, generator=generator)
+
+
+def _plain_batches(
+    world: World, photographs: Dataset | None, settings: TrainingSettings, seed: int, step: int
+) -> list[tuple[Float[Tensor, "B 3 H W"], list[Tensor]]]:
+    """The images of a step without optimised camouflage, and their boxes."""
+    count = settings.batch_size - settings.batch_size // 2
+    batches = []
+    if photographs is not None:
+        shown = replace(settings, batch_size=count // 2)
+        batches.append(training_batch(photographs, shown, seed % 2**62, step))
+        count -= count // 2
+    draw = generator_of(seed, "plain", step)
+    scenes = _draw(world, count, draw, empty=_EMPTY_SHARE)
+    with torch.no_grad():
+        frames = world.frames(None, scenes)
+    boxes = [frames.boxes[frames.scene_index == row] for row in range(count)]
+    return [*batches, (jitter(frames.image, settings.jitter, generator=draw), boxes)]
+
+
+class _Worn:
+    """The camouflages of a hardening: some that are optimised, and those of before."""
+
+    def __init__(self, seed: int, palette: Float[Tensor, "K 3"], device: torch.device) -> None:
+        self._seed, self._palette, self._device = seed, palette, device
+        self._alive: list[tuple[int, Camouflage, torch.optim.Adam]] = []
+        self._kept: list[tuple[int, Camouflage]] = []
+        for number in range(_ALIVE):
+            self._alive.append(self._fresh(number))
+
+    def of_step(
+        self, step: int, generator: torch.Generator
+    ) -> tuple[Camouflage, torch.optim.Adam | None]:
+        """The camouflage of a step, counted from 0, and its optimiser if it is optimised."""
+        turn, place = divmod(step, _ALIVE)
+        number = _ALIVE * ((turn + place * _LIFE_STEPS // _ALIVE) // _LIFE_STEPS) + place
+        before, camouflage, optimiser = self._alive[place]
+        if number != before:
+            kept = copy.deepcopy(camouflage).requires_grad_(False)
+            self._kept = [*self._kept, (before, kept)][-_KEPT:]
+            self._alive[place] = self._fresh(number)
+            _, camouflage, optimiser = self._alive[place]
+        if self._kept and float(torch.rand((), generator=generator)) < _KEPT_SHARE:
+            chosen = int(torch.randint(len(self._kept), (), generator=generator))
+            return self._kept[chosen][1], None
+        return camouflage, optimiser
+
+    def state_dict(self) -> dict[str, Any]:
+        """See `LoopPart`."""
+        return {
+            "alive": {
+                str(place): {"number": number, "worn": worn.state_dict(), "by": by.state_dict()}
+                for place, (number, worn, by) in enumerate(self._alive)
+            },
+            "kept": {
+                str(place): {"number": number, "worn": worn.state_dict()}
+                for place, (number, worn) in enumerate(self._kept)
+            },
+        }
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """See `LoopPart`."""
+        for place, stored in state_dict["alive"].items():
+            number, camouflage, optimiser = self._fresh(stored["number"])
+            camouflage.load_state_dict(stored["worn"])
+            optimiser.load_state_dict(stored["by"])
+            self._alive[int(place)] = (number, camouflage, optimiser)
+        self._kept = []
+        for place in sorted(state_dict["kept"], key=int):
+            stored = state_dict["kept"][place]
+            number, camouflage, _ = self._fresh(stored["number"])
+            camouflage.load_state_dict(stored["worn"])
+            self._kept.append((number, camouflage.requires_grad_(False)))
+
+    def _fresh(self, number: int) -> tuple[int, Camouflage, torch.optim.Adam]:
+        name = CamouflageName.parse(_ATTACKS[number % len(_ATTACKS)])
+        camouflage = make_camouflage(
+            name,
+            generator=generator_of(self._seed, "worn", number),
+            palette=self._palette if name.takes_palette else None,
+        ).to(self._device)
+        rates = camouflage.learning_rates
+        groups = [
+            {"params": [value], "lr": _LEARNING_RATE * rates.get(key, 1.0)}
+            for key, value in camouflage.named_parameters()
+        ]
+        return number, camouflage, torch.optim.Adam(groups)
