@@ -1,0 +1,130 @@
+"""Hardening: camouflages that climb while a detector learns, and going on after a kill."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from skyproof.attacks import hardening
+from skyproof.attacks.hardening import harden
+from skyproof.attacks.world import World
+from skyproof.camouflage.camouflage import Camouflage
+from skyproof.datasets.dataset import Dataset
+from skyproof.detectors.card import DetectorCard
+from skyproof.detectors.detector import TrainableDetector
+from skyproof.detectors.loaded import load_detector
+from skyproof.detectors.settings import TrainingSettings
+from skyproof.errors import RunFolderError
+from skyproof.scenes.settings import SceneSettings
+from tests.rendered_world import RenderedWorld, make_world
+
+SETTINGS = TrainingSettings(steps=20, batch_size=4, learning_rate=1e-3, checkpoint_every=4)
+
+
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory: pytest.TempPathFactory) -> RenderedWorld:
+    return make_world(tmp_path_factory.mktemp("world"))
+
+
+@pytest.fixture(autouse=True)
+def _short(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Camouflages are kept, and kept ones are shown, within a few steps.
+    monkeypatch.setattr(hardening, "_LIFE_STEPS", 6)
+
+
+def world_of(rendered: RenderedWorld) -> World:
+    scenes = SceneSettings(size_px=96, vehicles_maximum=1)
+    return World(rendered.renderer(), rendered.ground, rendered.fleets["train"], scenes)
+
+
+def images(rendered: RenderedWorld, split: str) -> Dataset:
+    return rendered.images(split, rendered.scenes(split, 4, 1, 2))
+
+
+def run(
+    rendered: RenderedWorld,
+    folder: Path,
+    photographs: Dataset | None = None,
+    settings: TrainingSettings = SETTINGS,
+    **more: Any,
+) -> tuple[TrainableDetector, DetectorCard]:
+    detector = load_detector("retinanet")
+    validation = images(rendered, "validation")
+    card = harden(
+        detector, world_of(rendered), photographs, validation, settings, folder, seed=3, **more
+    )
+    return detector, card
+
+
+def test_a_stopped_hardening_goes_on_exactly(rendered: RenderedWorld, tmp_path: Path) -> None:
+    whole, _ = run(rendered, tmp_path / "whole", images(rendered, "train"))
+
+    def kill(row: dict[str, Any]) -> None:
+        if row["step"] == 14:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(rendered, tmp_path / "killed", images(rendered, "train"), on_step=kill)
+    resumed, _ = run(rendered, tmp_path / "killed", images(rendered, "train"))
+    assert resumed.weights_sha256 == whole.weights_sha256
+    assert load_detector(tmp_path / "killed").weights_sha256 == whole.weights_sha256
+    # Nothing is done again, and other settings are refused.
+    run(rendered, tmp_path / "killed", images(rendered, "train"))
+    with pytest.raises(RunFolderError, match="another seed or other images"):
+        run(rendered, tmp_path / "killed")
+
+
+def test_the_card_names_the_parent_and_statistics_stay(
+    rendered: RenderedWorld, tmp_path: Path
+) -> None:
+    parent = load_detector("retinanet")
+    detector, card = run(rendered, tmp_path / "out")
+    assert card.training["identity"]["parent_sha256"] == parent.weights_sha256
+    assert card.validation_vehicles == sum(map(len, images(rendered, "validation").boxes))
+    assert detector.weights_sha256 != parent.weights_sha256
+    stored, before = detector.state_dict(), parent.state_dict()
+    statistics = [name for name in stored if name.endswith(("running_mean", "running_var"))]
+    assert statistics
+    assert all(torch.equal(stored[name], before[name]) for name in statistics)
+
+
+def test_photographs_are_a_quarter_of_the_images(rendered: RenderedWorld) -> None:
+    world, photographs = world_of(rendered), images(rendered, "train")
+    for given, counts in ((photographs, [1, 1]), (None, [2])):
+        batches = hardening._plain_batches(world, given, SETTINGS, 3, 0)
+        assert [len(shown) for shown, _ in batches] == counts
+        assert all(len(shown) == len(boxes) for shown, boxes in batches)
+
+
+def test_camouflages_climb_the_loss_that_the_detector_descends(
+    rendered: RenderedWorld, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[Camouflage] = []
+    make = hardening.make_camouflage
+
+    def remember(*given: Any, **more: Any) -> Camouflage:
+        made.append(make(*given, **more))
+        return made[-1]
+
+    monkeypatch.setattr(hardening, "make_camouflage", remember)
+    for name, value in (("_LIFE_STEPS", 80), ("_ALIVE", 1), ("_ATTACKS", ("T-U",))):
+        monkeypatch.setattr(hardening, name, value)
+    # The detector hardly moves, so only the camouflage does.
+    still = dataclasses.replace(SETTINGS, steps=30, learning_rate=1e-9, checkpoint_every=30)
+    detector, _ = run(rendered, tmp_path / "out", settings=still)
+    (climber,) = made
+    ((_, start, _),) = hardening._Worn(3, torch.rand(5, 3), torch.device("cpu"))._alive
+    world = world_of(rendered)
+    scenes = world.step_scenes(24, 1, 1)
+
+    @torch.no_grad()
+    def loss(worn: Camouflage) -> float:
+        frames = world.frames(worn, scenes)
+        boxes = [frames.boxes[frames.scene_index == row] for row in range(len(scenes))]
+        return float(detector.loss(frames.image, boxes).mean())
+
+    assert loss(climber) > loss(start) + 0.3

@@ -1,0 +1,89 @@
+"""`skyproof harden` after a tiny assessment, and what it refuses."""
+
+import json
+import re
+import shlex
+import shutil
+from pathlib import Path
+
+import pytest
+import tyro
+
+from skyproof.assessment import harden
+from skyproof.detectors.loaded import load_detector
+from skyproof.files import write_json
+from skyproof.main import load_command
+from tests.cli.conftest import Skyproof, bytes_of
+
+
+@pytest.fixture(autouse=True)
+def _tiny(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in {
+        "_TILES": (1, 1, 2, 1),
+        "_VEHICLES": (4, 1, 1, 1),
+        "_VALIDATION_SCENES": 6,
+        "_IMAGES_PER_STEP": 4,
+    }.items():
+        monkeypatch.setattr(harden, name, value)
+
+
+@pytest.fixture
+def assessed(finished: Path, tmp_path: Path) -> Path:
+    """An assessment, to be changed."""
+    return shutil.copytree(finished, tmp_path / "run")
+
+
+def test_a_detector_is_hardened_and_can_be_assessed(
+    finished: Path, tmp_path: Path, skyproof: Skyproof
+) -> None:
+    before = bytes_of(finished)
+    out = tmp_path / "hard"
+    call = ("harden", finished, "--out", out, "--data", finished / "datasets/train")
+    answer = skyproof(*call, "--steps", 2)
+    assert answer.code == 0, answer.err
+    assert "photographs with labels" not in answer.out
+    folder = out / "detectors/retinanet"
+    hardened = load_detector(folder)
+    parent = load_detector(finished / "detectors/retinanet")
+    assert hardened.weights_sha256 != parent.weights_sha256
+    assert hardened.card.training["identity"]["parent_sha256"] == parent.weights_sha256
+    (told,) = re.findall(r"Assess it anew: skyproof (.*)", answer.out)
+    command, *words = shlex.split(told)
+    request = tyro.cli(load_command(command), args=words, console_outputs=False)
+    assert request.detectors == (folder,)
+    # The parent is as it was, and the same call does nothing again.
+    assert bytes_of(finished) == before
+    made = bytes_of(out)
+    assert skyproof(*call, "--steps", 2).code == 0
+    assert bytes_of(out) == made
+    skyproof(*call, "--steps", 3).refused("other settings", "another --out")
+
+
+def test_without_photographs_that_is_said(
+    finished: Path, tmp_path: Path, skyproof: Skyproof
+) -> None:
+    answer = skyproof("harden", finished, "--out", tmp_path / "hard", "--steps", 1)
+    assert answer.code == 0, answer.err
+    assert "no photographs with labels keep it fit for photographs" in answer.out
+
+
+@pytest.mark.parametrize("changes", [{"suite": None}, {"names": ["retinanet", "faster_rcnn"]}])
+def test_a_run_of_something_else_is_refused(
+    assessed: Path, skyproof: Skyproof, changes: dict[str, object]
+) -> None:
+    config = json.loads((assessed / "config.json").read_text())
+    write_json(assessed / "config.json", {**config, **changes})
+    answer = skyproof("harden", assessed, "--out", assessed.parent / "hard")
+    answer.refused("no assessment of a single detector", "skyproof assess")
+    assert not (assessed.parent / "hard").exists()
+
+
+def test_what_cannot_be_trained_is_refused(assessed: Path, skyproof: Skyproof) -> None:
+    place = assessed / "detectors/retinanet/detector.json"
+    write_json(place, {**json.loads(place.read_text()), "size": "brought"})
+    answer = skyproof("harden", assessed, "--out", assessed.parent / "hard")
+    answer.refused("retinanet was not trained by skyproof", "images that the report names")
+    skyproof("harden", assessed.parent / "none", "--out", assessed.parent / "hard").refused(
+        "none", "give a run of skyproof assess"
+    )
+    assert not (assessed.parent / "hard").exists()
