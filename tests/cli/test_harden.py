@@ -78,6 +78,17 @@ def test_a_run_of_something_else_is_refused(
     assert not (assessed.parent / "hard").exists()
 
 
+def test_photographs_of_another_resolution_are_refused(
+    finished: Path, tmp_path: Path, skyproof: Skyproof
+) -> None:
+    data = shutil.copytree(finished / "datasets/train", tmp_path / "coarse")
+    document = json.loads((data / "annotations.json").read_text())
+    write_json(data / "annotations.json", {**document, "info": {**document["info"], "gsd_m": 0.3}})
+    answer = skyproof("harden", finished, "--data", data, "--out", tmp_path / "hard")
+    answer.refused(str(data), "0.3 m per pixel", "retinanet sees 0.125", "--data")
+    assert not (tmp_path / "hard").exists()
+
+
 def test_what_cannot_be_trained_is_refused(assessed: Path, skyproof: Skyproof) -> None:
     place = assessed / "detectors/retinanet/detector.json"
     write_json(place, {**json.loads(place.read_text()), "size": "brought"})

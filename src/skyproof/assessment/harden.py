@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping
+from math import isclose
 from pathlib import Path
 from typing import Any
 
@@ -30,9 +31,7 @@ from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.settings import SceneSettings
 from skyproof.seeds import next_seed
 
-_TILES = (1, 1, 120, 1)
-_VEHICLES = (200, 1, 1, 1)
-_VALIDATION_SCENES = 120
+_TILES, _VEHICLES, _VALIDATION_SCENES = (1, 1, 120, 1), (200, 1, 1, 1), 120
 _IMAGES_PER_STEP, _LEARNING_RATE = 16, 1e-3
 _DRAWN_PX, _OTHER_GROUND = 192, 1_000_003
 _REMEDY = "give a run of skyproof assess"
@@ -48,15 +47,25 @@ def harden_run(request: Harden) -> None:
             f"{layout.folder} is no assessment of a single detector; assess the detector alone "
             "(skyproof assess), and give that run."
         )
-    card = read_card(layout.detector(names[0]))
+    place = layout.detector(names[0])
+    card = read_card(place)
     if card.size not in SIZES:
         raise ConfigurationError(
             f"{card.name} was not trained by skyproof, which can train only its own networks "
             "further; add the images that the report names to its own training."
         )
-    place = layout.detector(names[0])
     (detector,) = load_ensemble([place], choose_device("auto"), card.gsd_m)
     imagery, labelled = config.get("imagery") != "procedural", config.get("labels") is not None
+    photographs = [*map(Dataset.open, request.data)]
+    photographs += [Dataset.open(layout.tiles / "attack")] if labelled else []
+    other = next((each for each in photographs if not isclose(each.gsd_m, card.gsd_m)), None)
+    if other is not None:
+        raise ConfigurationError(
+            f"{other.folder} has {other.gsd_m} m per pixel, and {card.name} sees {card.gsd_m}; "
+            "give --data of its resolution."
+        )
+    if not photographs:
+        say("  note: no photographs with labels keep it fit for photographs (--labels, --data).")
     if not out.fleets.exists():
         Vehicles(out.fleets, counts=_VEHICLES, seed=request.seed).run()
     if not imagery and not out.backgrounds.exists():
@@ -71,19 +80,10 @@ def harden_run(request: Harden) -> None:
         size_px=side_px(read_suite().attack_m, card.gsd_m),
         places=places_of(BackgroundSet.open(backgrounds)) if imagery else "uniform",
     )
-    photographs = [*map(Dataset.open, request.data)]
-    photographs += [Dataset.open(layout.tiles / "attack")] if labelled else []
-    if not photographs:
-        say("  note: no photographs with labels keep it fit for photographs (--labels, --data).")
     validation = layout.tiles / "validation" if labelled else _rendered(layout, out, card.gsd_m)
     settings = TrainingSettings(request.steps, _IMAGES_PER_STEP, _LEARNING_RATE)
     folder = out.detector(names[0])
     with progress_bar(f"harden {card.name}") as update:
-
-        def show(row: Mapping[str, Any]) -> None:
-            if row["kind"] == "step":
-                update(row["step"], settings.steps)
-
         hardened = harden(
             detector,
             world,
@@ -92,7 +92,7 @@ def harden_run(request: Harden) -> None:
             settings,
             folder,
             seed=request.seed,
-            on_step=show,
+            on_step=lambda row: update(row["step"], settings.steps),
         )
     say_card(hardened, folder)
     say(f"Assess it anew: {_assess(config, folder)}")

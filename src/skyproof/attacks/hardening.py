@@ -118,6 +118,7 @@ def harden(
             validation={key: best[key] for key in ("ap_centre_1m", "ap_iou_50", "f1")},
             validation_vehicles=sum(map(len, validation.boxes)),
             skyproof_version=installed_version(),
+            trained_on="; ".join(filter(None, [parent.trained_on, "hardened"]))[:10_000],
             threshold_from="",
         )
 
