@@ -239,7 +239,7 @@ def test_the_commands_lead_from_photographs_to_fleets(
     assert len(Fleet.load(Path(mixed))) == 8
     # With the photographs it is the same call, and nothing is learnt anew.
     again = [*learn, *options, *draw[1:], "--fleets", str(tmp_path / "again")]
-    assert run(again) == 0
+    assert run(again, commands=COMMANDS) == 0
     assert torch.equal(Fleet.load(tmp_path / "again" / "train").textures, fleet.textures)
-    assert run([*draw, "--fleets", str(tmp_path / "again")]) == 2
+    assert run([*draw, "--fleets", str(tmp_path / "again")], commands=COMMANDS) == 2
     assert "exists already" in capsys.readouterr().err
