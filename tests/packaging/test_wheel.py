@@ -127,4 +127,4 @@ raise SystemExit(run(["demo", "--out", "demo", "--device", "cpu"]))
     assert (environment / "demo" / "report.html").read_text().rstrip().endswith("</html>")
     assert (environment / "demo" / "results.json").exists()
     plan = ["reproduce", "--preset", "quick", "--out", "quick", "--dry-run"]
-    assert " 310 steps " in call(environment, "skyproof", *plan)
+    assert " 307 steps " in call(environment, "skyproof", *plan)
