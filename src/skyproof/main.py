@@ -36,7 +36,7 @@ COMMANDS: dict[str, dict[str, str]] = {
         "train": "skyproof.cli.train:Train",
         "import": "skyproof.cli.import_detector:Import",
         "precheck": "skyproof.cli.precheck:Precheck",
-        "harden": "skyproof.assessment.command:Harden",
+        "harden": "skyproof.hardening.command:Harden",
     },
     "Attacks and scores": {
         "attack": "skyproof.cli.attack:Attack",

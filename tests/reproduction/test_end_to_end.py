@@ -112,8 +112,6 @@ def test_killed_in_an_attack_and_finished(tmp_path):
     rows = json.loads((folder / "results.json").read_text())["rows"]
     assert {row["camouflage"] for row in rows} >= {
         "T-Fc",
-        "T-Fc_step1",
-        "T-Fc_relaxed",
         "R-C-Fc@0.4",
         "C-Fc-par@0.4",
     }

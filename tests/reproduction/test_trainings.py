@@ -7,10 +7,8 @@ from pathlib import Path
 import pytest
 
 from skyproof.detectors.card import read_card
-from skyproof.errors import ConfigurationError
 from skyproof.reproduction.command import Reproduce
 from skyproof.reproduction.layout import PaperLayout
-from skyproof.reproduction.report import write_reproduction_report
 from tests.barely_trained import everything_counts
 
 TINY = json.loads(Path(__file__).with_name("tiny.json").read_text())
@@ -48,11 +46,5 @@ def test_two_trainings(tmp_path):
     with open(layout.tables / "trainings.csv", newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert [row["attack"] for row in rows] == ["T-U", "T-Pix", "T-Fc"]
-    assert all(float(row["easr_training_se"]) >= 4 for row in rows)
-
-    # A training on other images is no repeat of the first.
-    card = further.detector("retinanet") / "detector.json"
-    other = cards[0].training["data_sha256"][::-1]
-    card.write_text(card.read_text().replace(cards[0].training["data_sha256"], other))
-    with pytest.raises(ConfigurationError, match="differ in their training images"):
-        write_reproduction_report(folder)
+    # Two trainings are charged with the usual spread at least.
+    assert all(float(row["easr_high"]) - float(row["easr_low"]) >= 4 for row in rows)

@@ -1,4 +1,4 @@
-"""`skyproof assess`, `demo` and `harden`, and the request of a run: config.json holds it."""
+"""`skyproof assess` and `skyproof demo`, and the request that they make: config.json holds it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from skyproof.detectors.card import (
     require_detector_name,
 )
 from skyproof.errors import ConfigurationError, SkyproofError
-from skyproof.ranges import Count, Fraction, GroundResolution, Risk, Seed
+from skyproof.ranges import Fraction, GroundResolution, Risk, Seed
 
 if TYPE_CHECKING:
     from skyproof.results.statistics.acceptance import Requirement
@@ -200,35 +200,6 @@ class Assess(Request):
             plan_assessment(self)
         else:
             run_assessment(self)
-
-
-@dataclass(frozen=True)
-class Harden:
-    """Trains the detector of an assessment further, so that it withstands attacks.
-
-    It learns vehicles in camouflages that are optimised against it meanwhile, on the attack tiles
-    and labelled photographs of the assessment, never on those of its test. A stopped run resumes
-    with the same command.
-
-    Attributes:
-        run_folder: finished run of `skyproof assess` with one detector that skyproof trained.
-        out: run folder to write; `detectors` in it holds the hardened detector.
-        data: further dataset folders of labelled photographs, apart from those of the test.
-        steps: number of optimiser steps.
-        seed: seed of everything that is drawn.
-    """
-
-    run_folder: Positional[Path]
-    out: Path
-    data: tuple[Path, ...] = ()
-    steps: Count = 1500
-    seed: Seed = 0
-
-    def run(self) -> None:
-        """Does all steps that are not finished yet, and says how to assess the detector."""
-        from skyproof.assessment.harden import harden_run
-
-        harden_run(self)
 
 
 @dataclass(frozen=True)

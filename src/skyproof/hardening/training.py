@@ -13,6 +13,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from skyproof.attacks.attack import make_optimiser
+from skyproof.attacks.settings import AttackSettings
 from skyproof.attacks.world import World
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.make import make_camouflage
@@ -34,7 +36,7 @@ _ATTACKS = ("T-U", "T-Ma", "T-Pix")
 _ALIVE, _LIFE_STEPS = 4, 80
 # Camouflages that are kept, and the share of steps that show one, so that none is forgotten.
 _KEPT, _KEPT_SHARE = 12, 0.3
-_LEARNING_RATE = 0.1
+_CLIMB = AttackSettings(learning_rate=0.1)
 _WEATHER = ("clear", "haze", "overcast", "exposure", "noise", "jpeg", "low_sun", "low_sun")
 # Of images without optimised camouflage; and vehicles on an image as small as those of attacks.
 _EMPTY_SHARE, _MOST_VEHICLES = 0.2, 3
@@ -59,8 +61,8 @@ def harden(
     which go up ("free" adversarial training, Shafahi et al. 2019). A camouflage is optimised for 80
     steps of its own. Then a fresh one follows it, and the old one returns from time to time.
 
-    A stopped hardening continues as `train` does. The averaged weights of the last step are kept,
-    because scores on images without camouflage say nothing about robustness.
+    A stopped hardening continues, and fails, as `train` does. The averaged weights of the last step
+    are kept, because scores on images without camouflage say nothing about robustness.
 
     Args:
         detector: one of ours with its card, on the device to work on.
@@ -69,8 +71,6 @@ def harden(
         validation: labelled images to freeze the threshold on.
         settings: steps, images per step and learning rate.
         folder: detector folder to write.
-
-    Raises as `train` does.
     """
     parent = detector.card
     device = device_of(detector)
@@ -165,10 +165,8 @@ class _Worn:
 
     def __init__(self, seed: int, palette: Float[Tensor, "K 3"], device: torch.device) -> None:
         self._seed, self._palette, self._device = seed, palette, device
-        self._alive: list[tuple[int, Camouflage, torch.optim.Adam]] = []
+        self._alive = [self._fresh(number) for number in range(_ALIVE)]
         self._kept: list[tuple[int, Camouflage]] = []
-        for number in range(_ALIVE):
-            self._alive.append(self._fresh(number))
 
     def of_step(
         self, step: int, generator: torch.Generator
@@ -221,9 +219,4 @@ class _Worn:
             generator=generator_of(self._seed, "worn", number),
             palette=self._palette if name.takes_palette else None,
         ).to(self._device)
-        rates = camouflage.learning_rates
-        groups = [
-            {"params": [value], "lr": _LEARNING_RATE * rates.get(key, 1.0)}
-            for key, value in camouflage.named_parameters()
-        ]
-        return number, camouflage, torch.optim.Adam(groups)
+        return number, camouflage, make_optimiser(camouflage, _CLIMB)

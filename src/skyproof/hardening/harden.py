@@ -8,10 +8,8 @@ from math import isclose
 from pathlib import Path
 from typing import Any
 
-from skyproof.assessment.command import Harden
 from skyproof.assessment.subject import places_of
 from skyproof.assessment.suite import read_suite, side_px
-from skyproof.attacks.hardening import harden
 from skyproof.attacks.world import World
 from skyproof.cli.ground import Ground
 from skyproof.cli.import_detector import say_card
@@ -25,6 +23,8 @@ from skyproof.detectors.settings import SIZES, TrainingSettings
 from skyproof.device import choose_device
 from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError
+from skyproof.hardening.command import Harden
+from skyproof.hardening.training import harden
 from skyproof.imagery.settings import tiling_for_images
 from skyproof.layout import Layout
 from skyproof.scenes.backgrounds import BackgroundSet
@@ -60,10 +60,7 @@ def harden_run(request: Harden) -> None:
     photographs += [Dataset.open(layout.tiles / "attack")] if labelled else []
     other = next((each for each in photographs if not isclose(each.gsd_m, card.gsd_m)), None)
     if other is not None:
-        raise ConfigurationError(
-            f"{other.folder} has {other.gsd_m} m per pixel, and {card.name} sees {card.gsd_m}; "
-            "give --data of its resolution."
-        )
+        raise ConfigurationError(f"{other.folder} is not of {card.gsd_m} m per pixel; mend --data.")
     if not photographs:
         say("  note: no photographs with labels keep it fit for photographs (--labels, --data).")
     if not out.fleets.exists():

@@ -9,8 +9,6 @@ from typing import Any
 import pytest
 import torch
 
-from skyproof.attacks import hardening
-from skyproof.attacks.hardening import harden
 from skyproof.attacks.world import World
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.datasets.dataset import Dataset
@@ -19,6 +17,8 @@ from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.loaded import load_detector
 from skyproof.detectors.settings import TrainingSettings
 from skyproof.errors import RunFolderError
+from skyproof.hardening import training as hardening
+from skyproof.hardening.training import harden
 from skyproof.scenes.settings import SceneSettings
 from tests.rendered_world import RenderedWorld, make_world
 

@@ -1,0 +1,1 @@
+"""Hardening: trains a detector further, so that it withstands attacks. Nothing else imports it."""

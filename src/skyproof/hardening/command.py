@@ -1,0 +1,37 @@
+"""`skyproof harden`: what is asked of a hardening."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from tyro.conf import Positional
+
+from skyproof.ranges import Count, Seed
+
+
+@dataclass(frozen=True)
+class Harden:
+    """Trains the detector of an assessment further, so that it withstands attacks.
+
+    It learns vehicles in camouflages that are optimised against it meanwhile, on the attack tiles
+    and labelled photographs of the assessment, never on those of its test. A stopped run resumes
+    with the same command.
+
+    Attributes:
+        run_folder: finished run of `skyproof assess` with one detector that skyproof trained.
+        out: run folder to write; `detectors` in it holds the hardened detector.
+        data: further dataset folders of labelled photographs, apart from those of the test.
+        steps: number of optimiser steps.
+        seed: seed of everything that is drawn.
+    """
+
+    run_folder: Positional[Path]
+    out: Path
+    data: tuple[Path, ...] = ()
+    steps: Count = 1500
+    seed: Seed = 0
+
+    def run(self) -> None:
+        """Does all steps that are not finished yet, and says how to assess the detector."""
+        from skyproof.hardening.harden import harden_run
+
+        harden_run(self)
