@@ -41,7 +41,7 @@ def test_a_detector_is_hardened_and_can_be_assessed(
     call = ("harden", finished, "--out", out, "--data", finished / "datasets/train")
     answer = skyproof(*call, "--steps", 2)
     assert answer.code == 0, answer.err
-    assert "photographs with labels" not in answer.out
+    assert "without labelled photographs" not in answer.out
     folder = out / "detectors/retinanet"
     hardened = load_detector(folder)
     parent = load_detector(finished / "detectors/retinanet")
@@ -64,7 +64,7 @@ def test_without_photographs_that_is_said(
 ) -> None:
     answer = skyproof("harden", finished, "--out", tmp_path / "hard", "--steps", 1)
     assert answer.code == 0, answer.err
-    assert "no photographs with labels keep it fit for photographs" in answer.out
+    assert "without labelled photographs (--data) it may find fewer vehicles on them" in answer.out
 
 
 @pytest.mark.parametrize("changes", [{"suite": None}, {"names": ["retinanet", "faster_rcnn"]}])
@@ -85,7 +85,7 @@ def test_photographs_of_another_resolution_are_refused(
     document = json.loads((data / "annotations.json").read_text())
     write_json(data / "annotations.json", {**document, "info": {**document["info"], "gsd_m": 0.3}})
     answer = skyproof("harden", finished, "--data", data, "--out", tmp_path / "hard")
-    answer.refused(str(data), "not of 0.125 m per pixel", "--data")
+    answer.refused(str(data), "not of 0.125 m per pixel", "resample it")
     assert not (tmp_path / "hard").exists()
 
 

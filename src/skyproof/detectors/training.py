@@ -2,8 +2,8 @@
 
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, cast
@@ -68,19 +68,12 @@ def train(
         "validation_sha256": validation.digest,
     }
     _check(training, validation)
-    device = next(detector.parameters()).device
 
     def lessons(steps: range) -> Iterator[Tensor]:
-        make = partial(training_batch, training, settings, seed)
-        for images, targets in made_ahead(make, steps):
-            images = images.to(device).contiguous(memory_format=torch.channels_last)
-            loss = detector.loss(images, [boxes.to(device) for boxes in targets]).mean()
-            loss.backward()
-            yield loss.detach()
+        for batch in made_ahead(partial(training_batch, training, settings, seed), steps):
+            yield add_gradients(detector, [batch])
 
-    def card(best: Mapping[str, float]) -> DetectorCard:
-        return _card(detector, best, identity, training, validation)
-
+    card = _card(detector, identity, training)
     return fit(detector.train(), validation, settings, folder, identity, lessons, card, on_step)
 
 
@@ -91,14 +84,14 @@ def fit(
     folder: Path,
     identity: dict[str, Any],
     lessons: Callable[[range], Iterator[Tensor]],
-    card: Callable[[Mapping[str, float]], DetectorCard],
+    card: DetectorCard,
     on_step: Callable[[dict[str, Any]], None] | None = None,
     parts: Mapping[str, LoopPart] | None = None,
 ) -> DetectorCard:
     """Takes the steps of a training, as `train` says; the detector is in its mode of training.
 
     `lessons` gets the steps to take, counted from 0. At each it adds the gradients of the step's
-    images, and gives their mean loss. `card` describes the detector by the scores of its best
+    images, and gives their mean loss. `card` is completed by threshold and scores of the best
     weights. `parts` are further objects that change from step to step.
     """
     if (folder / "detector.json").exists():
@@ -153,10 +146,34 @@ def fit(
                 best.keep(follower, scores, step)
                 loop.report({"kind": "validation", "step": step, **scores})
         detector.load_state_dict(best.weights)
-        made = card(best.scores)
+        scores = best.scores
+        made = replace(
+            card,
+            threshold=scores["threshold"],
+            training={**card.training, "best_step": scores["step"]},
+            validation={key: scores[key] for key in ("ap_centre_1m", "ap_iou_50", "f1")},
+            validation_vehicles=sum(map(len, validation.boxes)),
+            skyproof_version=installed_version(),
+        )
         save_detector(folder, detector.eval(), made)
         loop.forget()
     return made
+
+
+def add_gradients(
+    detector: TrainableDetector, batches: Sequence[tuple[Tensor, Sequence[Tensor]]]
+) -> Tensor:
+    """Adds the gradients of the mean loss of all images in some batches; returns that loss."""
+    device = next(detector.parameters()).device
+    count = sum(len(images) for images, _ in batches)
+    total = torch.zeros((), device=device)
+    for images, targets in batches:
+        shown = images.to(device).contiguous(memory_format=torch.channels_last)
+        loss = detector.loss(shown, [boxes.to(device) for boxes in targets]).mean()
+        loss = loss * (len(images) / count)
+        loss.backward()
+        total += loss.detach()
+    return total
 
 
 class _Best:
@@ -243,18 +260,13 @@ def _finished(detector: TrainableDetector, folder: Path, identity: dict[str, Any
     return stored.card
 
 
-def _card(
-    detector: TrainableDetector,
-    best: Mapping[str, float],
-    identity: dict[str, Any],
-    training: Dataset,
-    validation: Dataset,
-) -> DetectorCard:
+def _card(detector: TrainableDetector, identity: dict[str, Any], training: Dataset) -> DetectorCard:
+    """What is known of a detector before its training; the threshold is that of the end."""
     width, height = training.pictures[0].size_px
     return DetectorCard(
         name=detector.name,
         size=detector.size,
-        threshold=best["threshold"],
+        threshold=1.0,
         gsd_m=training.gsd_m,
         image_size_px=(min(height, WINDOW_PX), min(width, WINDOW_PX)),
         parameters=sum(parameter.numel() for parameter in detector.parameters()),
@@ -263,10 +275,6 @@ def _card(
             "images": len(training),
             "data_sha256": identity["data_sha256"],
             "validation_sha256": identity["validation_sha256"],
-            "best_step": best["step"],
         },
-        validation={key: best[key] for key in ("ap_centre_1m", "ap_iou_50", "f1")},
-        validation_vehicles=sum(map(len, validation.boxes)),
-        skyproof_version=installed_version(),
         trained_on=training.origin,
     )

@@ -122,7 +122,4 @@ class LearnVehicles:
             "fits/00001.png, which has the worst fits)"
         )
         if self.fleets is None:
-            say(
-                "Draw fleets with python -m skyproof.generator learn --out "
-                f"{self.out} --fleets fleets."
-            )
+            say(f"Draw fleets: python -m skyproof.generator learn --out {self.out} --fleets fleets")

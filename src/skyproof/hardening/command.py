@@ -1,4 +1,4 @@
-"""`skyproof harden`: what is asked of a hardening."""
+"""`skyproof harden` and its options."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,8 +12,8 @@ from skyproof.ranges import Count, Seed
 class Harden:
     """Trains the detector of an assessment further, so that it withstands attacks.
 
-    It learns vehicles in camouflages that are optimised against it meanwhile, on the attack tiles
-    and labelled photographs of the assessment, never on those of its test. A stopped run resumes
+    It is shown vehicles in camouflages that are optimised against it as it learns, on the attack
+    tiles of the assessment with their labels, never on those of its test. A stopped run resumes
     with the same command.
 
     Attributes:

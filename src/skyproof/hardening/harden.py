@@ -1,4 +1,4 @@
-"""Hardens the detector of an assessment on its attack tiles, and says how to assess it again."""
+"""Hardens the detector of an assessment, and says how to assess the result."""
 
 from __future__ import annotations
 
@@ -60,9 +60,9 @@ def harden_run(request: Harden) -> None:
     photographs += [Dataset.open(layout.tiles / "attack")] if labelled else []
     other = next((each for each in photographs if not isclose(each.gsd_m, card.gsd_m)), None)
     if other is not None:
-        raise ConfigurationError(f"{other.folder} is not of {card.gsd_m} m per pixel; mend --data.")
+        raise ConfigurationError(f"{other.folder} is not of {card.gsd_m} m per pixel; resample it.")
     if not photographs:
-        say("  note: no photographs with labels keep it fit for photographs (--labels, --data).")
+        say("  note: without labelled photographs (--data) it may find fewer vehicles on them.")
     if not out.fleets.exists():
         Vehicles(out.fleets, counts=_VEHICLES, seed=request.seed).run()
     if not imagery and not out.backgrounds.exists():

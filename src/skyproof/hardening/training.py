@@ -1,9 +1,9 @@
-"""Hardening: a detector learns vehicles in camouflages that are optimised against it meanwhile."""
+"""Training on vehicles in camouflages that are optimised against the detector as it learns."""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -23,12 +23,13 @@ from skyproof.camouflage.palette import ground_palette
 from skyproof.datasets.dataset import Dataset
 from skyproof.datasets.pictures import made_ahead
 from skyproof.detectors.batches import jitter, training_batch
-from skyproof.detectors.card import DetectorCard, installed_version
+from skyproof.detectors.card import DetectorCard
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.inference import device_of
 from skyproof.detectors.settings import TrainingSettings
-from skyproof.detectors.training import fit
+from skyproof.detectors.training import add_gradients, fit
 from skyproof.randomness import generator_of
+from skyproof.render.frames import Frames
 from skyproof.scenes.scene import Scene
 
 # T-PixFcMa, shapes and combinations are left out, so that they show whether hardening carries over.
@@ -95,33 +96,21 @@ def harden(
             with torch.set_grad_enabled(climber is not None):
                 frames = world.frames(camouflage, scenes)
             shown = frames.image.detach().requires_grad_()
-            boxes = [frames.boxes[frames.scene_index == row].detach() for row in range(len(scenes))]
-            attacked = (jitter(shown, settings.jitter, generator=draw), boxes)
-            total = torch.zeros((), device=device)
-            for images, targets in (attacked, *batches):
-                images = images.to(device).contiguous(memory_format=torch.channels_last)
-                loss = detector.loss(images, [each.to(device) for each in targets]).sum()
-                (loss / settings.batch_size).backward()
-                total += loss.detach() / settings.batch_size
+            attacked = (jitter(shown, settings.jitter, generator=draw), _in_sight(frames))
+            loss = add_gradients(detector, [attacked, *batches])
             if climber is not None and shown.grad is not None:
                 frames.image.backward(-shown.grad)
                 climber.step()
                 climber.zero_grad(set_to_none=True)
                 camouflage.project_()
-            yield total
+            yield loss
 
-    def card(best: Mapping[str, float]) -> DetectorCard:
-        return replace(
-            parent,
-            threshold=best["threshold"],
-            training={"identity": identity, "parent": parent.training},
-            validation={key: best[key] for key in ("ap_centre_1m", "ap_iou_50", "f1")},
-            validation_vehicles=sum(map(len, validation.boxes)),
-            skyproof_version=installed_version(),
-            trained_on="; ".join(filter(None, [parent.trained_on, "hardened"]))[:10_000],
-            threshold_from="",
-        )
-
+    card = replace(
+        parent,
+        training={"identity": identity, "parent": parent.training},
+        trained_on="; ".join(filter(None, [parent.trained_on, "hardened"]))[:10_000],
+        threshold_from="",
+    )
     detector.train().requires_grad_(True)
     for layer in detector.modules():
         # A few small images would spoil the statistics of a whole training.
@@ -153,15 +142,20 @@ def _plain_batches(
         batches.append(training_batch(photographs, shown, seed % 2**62, step))
         count -= count // 2
     draw = generator_of(seed, "plain", step)
-    scenes = _draw(world, count, draw, empty=_EMPTY_SHARE)
     with torch.no_grad():
-        frames = world.frames(None, scenes)
-    boxes = [frames.boxes[frames.scene_index == row] for row in range(count)]
-    return [*batches, (jitter(frames.image, settings.jitter, generator=draw), boxes)]
+        frames = world.frames(None, _draw(world, count, draw, empty=_EMPTY_SHARE))
+    return [*batches, (jitter(frames.image, settings.jitter, generator=draw), _in_sight(frames))]
+
+
+def _in_sight(frames: Frames) -> list[Tensor]:
+    """The boxes of each image; one of a vehicle out of sight would make the loss infinite."""
+    boxes = frames.boxes.detach()
+    seen = (boxes[:, 2:] > boxes[:, :2]).all(dim=1)
+    return [boxes[seen & (frames.scene_index == row)] for row in range(len(frames.image))]
 
 
 class _Worn:
-    """The camouflages of a hardening: some that are optimised, and those of before."""
+    """The camouflages of a hardening: those being optimised, and earlier ones."""
 
     def __init__(self, seed: int, palette: Float[Tensor, "K 3"], device: torch.device) -> None:
         self._seed, self._palette, self._device = seed, palette, device
