@@ -10,7 +10,6 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 from torchvision.models import detection
-from torchvision.ops import sigmoid_focal_loss
 
 from skyproof.detectors.anchor_detector import AnchorDetector
 from skyproof.detectors.blueprint import ARCHITECTURES, Blueprint
@@ -30,6 +29,7 @@ from skyproof.detectors.torchvision_detectors import (
     FasterRcnnDetector,
     RetinaNetDetector,
     TorchvisionDetector,
+    own_answers,
 )
 from skyproof.detectors.ultralytics_detectors import YoloNetwork
 from skyproof.errors import ConfigurationError, is_full_memory
@@ -77,24 +77,20 @@ class ImportedDetector(TrainableDetector):
         return others
 
     def loss(self, images: Images, targets: Sequence[Boxes]) -> Float[Tensor, " B"]:
-        """The network's own loss per image against an empty truth, normalised (section 3.2)."""
+        """The network's own loss per image, normalised (section 3.2); boxes in `images`' pixels.
+
+        Any vehicle class is right for a vehicle. Nothing is learnt about other classes.
+        """
         check_targets(images, targets)
-        if any(len(boxes) for boxes in targets):
-            raise ConfigurationError(
-                f"{self.name} was imported, so that its loss knows no vehicles; train it "
-                "where it came from."
-            )
+        ratio = self._ratio(images)
         with self._seeing(images) as scaled:
-            return self.network.loss(scaled, targets)
+            return self.network.loss(scaled, [boxes / ratio.to(boxes) for boxes in targets])
 
     def candidates(self, images: Images) -> Candidates:
         """See `TrainableDetector.candidates`; boxes in pixels of `images`."""
         with self._seeing(images) as scaled:
             found = self.network.candidates(scaled)
-        height, width = self.size_px(images)
-        ratio = found.boxes.new_tensor(
-            [images.shape[-1] / width, images.shape[-2] / height]
-        ).repeat(2)
+        ratio = self._ratio(images).to(found.boxes)
         return Candidates(found.boxes * ratio, found.scores, found.valid)
 
     def pyramid(self, images: Images) -> tuple[list[Tensor], int]:
@@ -107,6 +103,11 @@ class ImportedDetector(TrainableDetector):
         return max(1, round(images.shape[-2] * self.image_scale)), max(
             1, round(images.shape[-1] * self.image_scale)
         )
+
+    def _ratio(self, images: Tensor) -> Tensor:
+        """What to multiply the network's boxes by."""
+        height, width = self.size_px(images)
+        return torch.tensor([images.shape[-1] / width, images.shape[-2] / height]).repeat(2)
 
     @contextmanager
     def _seeing(self, images: Tensor) -> Iterator[Tensor]:
@@ -234,11 +235,19 @@ class ImportedFcos(_Imported):
     name = "fcos"
 
     def loss(self, images: Images, targets: Sequence[Boxes]) -> Float[Tensor, " B"]:
-        """torchvision's focal loss of vehicle classes, over the points that one vehicle gets."""
+        """torchvision's focal, box and centredness losses per image, divided as RetinaNet's are."""
         check_targets(images, targets)
-        logits = self._outputs(images)[0]["cls_logits"]
-        focal = sigmoid_focal_loss(logits, torch.zeros_like(logits))
-        return focal.sum(dim=(1, 2)) / POSITIVES_PER_VEHICLE
+        outputs, anchors = self._outputs(images)
+        # The anchors of a level are squares of one size.
+        _, levels = (anchors[:, 2] - anchors[:, 0]).unique_consecutive(return_counts=True)
+        losses = []
+        for index, boxes in enumerate(targets):
+            target = {"boxes": boxes, "labels": boxes.new_zeros(len(boxes), dtype=torch.int64)}
+            own = own_answers(outputs, index, vehicles=len(boxes))
+            terms = self.model.compute_loss([target], own, [anchors], levels.tolist())
+            divisor = 1.0 if len(boxes) else POSITIVES_PER_VEHICLE
+            losses.append(sum(terms.values()) / divisor)
+        return torch.stack(losses)
 
     def candidates(self, images: Images) -> Candidates:
         """Every point's box and score."""

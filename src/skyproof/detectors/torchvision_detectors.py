@@ -108,7 +108,8 @@ class RetinaNetDetector(TorchvisionDetector):
         """torchvision's focal and box losses per image, over all anchors.
 
         Each is divided by its image's positive anchors. With an empty truth torchvision does not
-        divide the focal sum; here it is divided by the positives of a single vehicle.
+        divide the focal sum; here it is divided by the positives of a single vehicle. Where a
+        network tells several vehicle classes apart, the likeliest of each anchor is the right one.
         """
         check_targets(images, targets)
         outputs, anchors = self._outputs(images)
@@ -120,7 +121,7 @@ class RetinaNetDetector(TorchvisionDetector):
                 matched = torch.full((len(anchors),), -1, dtype=torch.int64, device=anchors.device)
             # RetinaNet keeps no background class, so the label of its one class is 0.
             target = {"boxes": boxes, "labels": matched.new_zeros(len(boxes))}
-            own = {key: value[index : index + 1] for key, value in outputs.items()}
+            own = own_answers(outputs, index, vehicles=len(boxes))
             terms = self.model.head.compute_loss([target], own, [anchors], [matched])
             divisor = 1.0 if len(boxes) else POSITIVES_PER_VEHICLE
             losses.append((terms["classification"] + terms["bbox_regression"]) / divisor)
@@ -156,7 +157,11 @@ class FasterRcnnDetector(TorchvisionDetector):
         super().__init__(size, _build_faster_rcnn(size))
 
     def loss(self, images: Images, targets: Sequence[Boxes]) -> Float[Tensor, " B"]:
-        """Proposal loss plus region loss per image, deterministic (section 3.2)."""
+        """Proposal loss plus region loss per image, deterministic (section 3.2).
+
+        Where a network tells several vehicle classes apart, the likeliest of each region is the
+        right one.
+        """
         check_targets(images, targets)
         features, image_list = self._features(images)
         objectness, deltas, anchors, proposals = self._proposal_outputs(features, image_list)
@@ -187,13 +192,12 @@ class FasterRcnnDetector(TorchvisionDetector):
         *_, proposals = self._proposal_outputs(features, image_list)
         logits, region_deltas = self._region_outputs(features, proposals, image_list)
         counts = [len(own) for own in proposals]
-        scores, best = logits.softmax(dim=1)[:, list(self.vehicle_classes)].max(dim=1)
-        columns = torch.tensor(self.vehicle_classes, device=best.device)[best]
+        scores, columns = self._best_vehicle_class(logits)
         # Without any region torchvision leaves the classes' boxes in one row.
         decoded = self.model.roi_heads.box_coder.decode(region_deltas, proposals).view(
-            len(best), logits.shape[1], 4
+            len(columns), logits.shape[1], 4
         )
-        boxes = decoded[torch.arange(len(columns), device=best.device), columns]
+        boxes = decoded[torch.arange(len(columns), device=columns.device), columns]
         valid = torch.ones_like(scores, dtype=torch.bool)
         padded = (
             pad_sequence(each.split(counts), batch_first=True) for each in (boxes, scores, valid)
@@ -258,13 +262,29 @@ class FasterRcnnDetector(TorchvisionDetector):
         heads = self.model.roi_heads
         ones = torch.ones(len(truth), dtype=torch.int64, device=truth.device)
         matched, labels = heads.assign_targets_to_proposals([regions], [truth], [ones])
-        entropy = functional.cross_entropy(logits, labels[0])
+        _, columns = self._best_vehicle_class(logits)
+        positive = labels[0] > 0
+        entropy = functional.cross_entropy(logits, torch.where(positive, columns, labels[0]))
         if not len(truth):
             return entropy
-        positive = labels[0] > 0
         wanted = heads.box_coder.encode_single(truth[matched[0][positive]], regions[positive])
-        box = functional.smooth_l1_loss(deltas[positive, 4:], wanted, beta=1 / 9, reduction="sum")
+        # Every class has a box of its own.
+        given = deltas.view(len(deltas), -1, 4)[positive, columns[positive]]
+        box = functional.smooth_l1_loss(given, wanted, beta=1 / 9, reduction="sum")
         return entropy + box / len(regions)
+
+    def _best_vehicle_class(self, logits: Tensor) -> tuple[Tensor, Tensor]:
+        """Every region's score of its likeliest vehicle class, and that class's column."""
+        scores, best = logits.softmax(dim=1)[:, list(self.vehicle_classes)].max(dim=1)
+        return scores, torch.tensor(self.vehicle_classes, device=best.device)[best]
+
+
+def own_answers(answers: dict[str, Tensor], index: int, *, vehicles: int) -> dict[str, Tensor]:
+    """One image's answers; with vehicles in it, one score an anchor: of the likeliest class."""
+    own = {key: value[index : index + 1] for key, value in answers.items()}
+    if vehicles:
+        own["cls_logits"] = own["cls_logits"].amax(dim=-1, keepdim=True)
+    return own
 
 
 def _cost_of_the_sure(objectness: Tensor, logits: Tensor) -> Tensor:

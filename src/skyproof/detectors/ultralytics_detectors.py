@@ -78,6 +78,55 @@ class YoloDetector(TrainableDetector):
         scores = outputs["scores"][:, list(self.vehicle_classes)].amax(dim=1).sigmoid()
         return Candidates(boxes * strides, scores, torch.ones_like(scores, dtype=torch.bool))
 
+    def loss(self, images: Images, targets: Sequence[Boxes]) -> Float[Tensor, " B"]:
+        """Ultralytics' own v8DetectionLoss, image by image on one forward pass.
+
+        Its sums are already divided by the target scores. With an empty truth they are the class
+        loss of all vehicle classes; that is divided by the ten points a vehicle gets. Where a
+        network tells several vehicle classes apart, the likeliest of each point is the right one.
+        A call sees one image, so its factor "batch size" is 1.
+        """
+        check_targets(images, targets)
+        outputs = self._outputs(images)
+        logits = outputs["scores"][:, list(self.vehicle_classes)]
+        empty = CLASS_GAIN * functional.softplus(logits).sum(dim=(1, 2)) / POINTS_PER_VEHICLE
+        if not any(map(len, targets)):
+            return empty
+        if "angle" in outputs:
+            raise ConfigurationError(
+                "A network of turned boxes learns nothing from upright ones; train it where it "
+                "came from."
+            )
+        criterion = self._criterion()
+        stride_px = float(self.model.stride[0])
+        height, width = (side * stride_px for side in outputs["feats"][0].shape[-2:])
+        losses = []
+        for index, boxes in enumerate(targets):
+            own = {
+                "boxes": outputs["boxes"][index : index + 1],
+                "scores": logits[index : index + 1].amax(dim=1, keepdim=True),
+                "feats": [level[index : index + 1] for level in outputs["feats"]],
+            }
+            sides = boxes[:, 2:] - boxes[:, :2]
+            centred = torch.cat([boxes[:, :2] + sides / 2, sides], dim=1)
+            centred = centred / boxes.new_tensor([width, height] * 2)
+            zeros = boxes.new_zeros(len(boxes))
+            terms, _ = criterion(own, {"batch_idx": zeros, "cls": zeros, "bboxes": centred})
+            losses.append(terms.sum() if len(boxes) else empty[index])
+        return torch.stack(losses)
+
+    def _criterion(self) -> Any:
+        """Ultralytics' loss of the head that counts, for vehicles as a single class."""
+        from ultralytics.utils import DEFAULT_CFG
+        from ultralytics.utils.loss import v8DetectionLoss
+
+        self.model.args = DEFAULT_CFG
+        # As in Ultralytics' E2ELoss one point answers for a vehicle in a head without suppression.
+        assigned = {"tal_topk": 7, "tal_topk2": 1} if self.model.model[-1].end2end else {}
+        criterion = v8DetectionLoss(self.model, **assigned)
+        criterion.assigner.num_classes = 1
+        return criterion
+
     @torch.no_grad()
     def pyramid(self, images: Images) -> tuple[list[Tensor], int]:
         """See `TrainableDetector.pyramid`; the features are the inputs of the head."""
@@ -112,39 +161,9 @@ class YoloV5Detector(YoloDetector):
         architecture = yolov5_architecture(size)
         with _quiet_import():
             from ultralytics.nn.tasks import DetectionModel
-            from ultralytics.utils import DEFAULT_CFG
 
             self.model = DetectionModel(architecture, nc=1, verbose=False)
         _activate_pooling(self.model, architecture)
-        self.model.args = DEFAULT_CFG
-
-    def loss(self, images: Images, targets: Sequence[Boxes]) -> Float[Tensor, " B"]:
-        """Ultralytics' own v8DetectionLoss, image by image on one forward pass.
-
-        Its sums are already divided by the target scores, but by 1 with an empty truth; then they
-        are divided by the ten points a vehicle gets. A call sees one image, so its factor "batch
-        size" is 1.
-        """
-        from ultralytics.utils.loss import v8DetectionLoss
-
-        check_targets(images, targets)
-        outputs = self._outputs(images)
-        criterion = v8DetectionLoss(self.model)
-        height, width = (side * 8 for side in outputs["feats"][0].shape[-2:])
-        losses = []
-        for index, boxes in enumerate(targets):
-            own = {
-                "boxes": outputs["boxes"][index : index + 1],
-                "scores": outputs["scores"][index : index + 1],
-                "feats": [level[index : index + 1] for level in outputs["feats"]],
-            }
-            sides = boxes[:, 2:] - boxes[:, :2]
-            centred = torch.cat([boxes[:, :2] + sides / 2, sides], dim=1)
-            centred = centred / boxes.new_tensor([width, height] * 2)
-            zeros = boxes.new_zeros(len(boxes))
-            terms, _ = criterion(own, {"batch_idx": zeros, "cls": zeros, "bboxes": centred})
-            losses.append(terms.sum() / (1.0 if len(boxes) else POINTS_PER_VEHICLE))
-        return torch.stack(losses)
 
 
 class YoloNetwork(YoloDetector):
@@ -157,12 +176,6 @@ class YoloNetwork(YoloDetector):
         super().__init__()
         self.vehicle_classes = list(vehicle_classes)
         self.model = build_model(architecture)
-
-    def loss(self, images: Images, targets: Sequence[Boxes]) -> Float[Tensor, " B"]:
-        """Ultralytics' class loss of vehicle classes, over the points that one vehicle gets."""
-        check_targets(images, targets)
-        logits = self._outputs(images)["scores"][:, self.vehicle_classes]
-        return CLASS_GAIN * functional.softplus(logits).sum(dim=(1, 2)) / POINTS_PER_VEHICLE
 
 
 def yolov5_architecture(size: str) -> dict[str, Any]:

@@ -11,16 +11,13 @@ from tyro.conf import Positional
 
 from skyproof.errors import RunFolderError
 
-_Simultaneous = Annotated[int, Meta(ge=1, le=10_000)] | None
-
 
 @dataclass(frozen=True)
 class Reproduce:
     """Runs every attack of the paper with its controls, and writes the paper's tables and figure.
 
     The results are report.html and tables/README.md. A stopped run resumes with the same command.
-    `--slurm-jobs` uses a cluster with Slurm, and `--dry-run` prints the snakemake command for
-    another one (docs/cluster.md).
+    `--dry-run` prints the snakemake command to run the steps on a cluster (docs/cluster.md).
 
     Attributes:
         preset: quick (slim detectors, two hours of two CPU cores), overnight (all combinations,
@@ -29,8 +26,6 @@ class Reproduce:
         out: run folder to write.
         cores: number of CPU cores; all by default. With 1, the steps run in this process, without
             Snakemake.
-        slurm_jobs: number of simultaneous Slurm jobs that run the steps instead. SNAKEMAKE_PROFILE
-            names a profile with account and partition.
         device: auto, cpu or cuda.
         cycles: render the test scenes with Blender Cycles, too (the paper's "Blender" column), also
             after a finished run.
@@ -43,8 +38,7 @@ class Reproduce:
 
     preset: str = "quick"
     out: Path = Path("runs/reproduce")
-    cores: _Simultaneous = None
-    slurm_jobs: _Simultaneous = None
+    cores: Annotated[int, Meta(ge=1, le=10_000)] | None = None
     device: str = "auto"
     cycles: bool = False
     held_out: tuple[str, ...] = ()

@@ -26,14 +26,13 @@ from skyproof.reproduction.held_out_detectors import (
 from skyproof.reproduction.layout import PaperLayout
 from skyproof.reproduction.plan import reproduction_plan
 from skyproof.reproduction.preset import Preset, read_preset
-from skyproof.reproduction.slurm import check_slurm, wait_for_earlier_jobs
 from skyproof.reproduction.snakemake import run_side_by_side, snakemake_words
 
 
 def reproduce(asked: Reproduce) -> None:
     """Does every step that is not finished, or says what they are in a dry run."""
     name, path, values, preset = read_preset(asked.preset)
-    count = _side_by_side(asked)
+    cores = _cores(asked)
     choose_device(asked.device)
     # Shows a detector whose library is missing before the ground is drawn.
     for detector in preset.detectors:
@@ -48,32 +47,26 @@ def reproduce(asked: Reproduce) -> None:
         preset, asked.out, device=asked.device, blender=blender, held_out=tables
     )
     run = Run(asked.out, {"preset": name, **values}, plan.steps)
-    on_slurm = asked.slurm_jobs is not None
-    executor = ["--executor", "slurm", "--jobs", str(count)]
-    if not on_slurm:
-        executor = ["--executor", "local", "--cores", str(count)]
-        executor += ["--resources", "gpu=1"] if preset.resources.gpu else []
     if asked.dry_run:
         say(f"Steps: {plan.in_words}.")
         say("By hand, or with options for a cluster's executor:")
         for words in _copies(path, preset, layout, added):
             say("  " + shlex.join(words))
-        start = snakemake_words(asked.out, blender)
-        say("  " + shlex.join(start + (executor if on_slurm else ["--cores", "2"])))
+        say("  " + shlex.join([*snakemake_words(asked.out, blender), "--cores", "2"]))
         return
-    if on_slurm:
-        wait_for_earlier_jobs(asked.out)
     with run.begun(asked.device) as hold:
         store_detectors(layout, preset, new_tables(layout, preset, given))
         say(
-            f"skyproof reproduce, preset {name}: {plan.in_words}; {count} "
-            f"{'jobs of Slurm' if on_slurm else 'cores'}, run folder {asked.out}"
+            f"skyproof reproduce, preset {name}: {plan.in_words}; {cores} cores, run folder "
+            f"{asked.out}"
         )
-        if count == 1 and not on_slurm:
+        if cores == 1:
             run.do()
         else:
-            start = snakemake_words(asked.out, blender, asked.device)
-            run_side_by_side(plan, run, start + executor, count, hold)
+            words = snakemake_words(asked.out, blender, asked.device)
+            words += ["--executor", "local", "--cores", str(cores)]
+            words += ["--resources", "gpu=1"] if preset.resources.gpu else []
+            run_side_by_side(plan, run, words, cores, hold)
     page = layout.tables / "README.md"
     # A run without textures has none of the paper's tables.
     if page.exists():
@@ -81,16 +74,8 @@ def reproduce(asked: Reproduce) -> None:
     say(f"Report: {layout.report.resolve()}")
 
 
-def _side_by_side(asked: Reproduce) -> int:
-    """How many steps run at once, on this machine or in Slurm, which must be there."""
-    if asked.slurm_jobs is not None:
-        if asked.cores is not None:
-            raise ConfigurationError(
-                "--cores is for the steps on this machine, --slurm-jobs for those on a "
-                "cluster; give one of the two."
-            )
-        check_slurm()
-        return asked.slurm_jobs
+def _cores(asked: Reproduce) -> int:
+    """How many steps run at once; with several, Snakemake must be there."""
     cores = len(os.sched_getaffinity(0)) if asked.cores is None else asked.cores
     if (cores > 1 or asked.dry_run) and find_spec("snakemake") is None:
         raise ConfigurationError(

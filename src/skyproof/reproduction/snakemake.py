@@ -1,4 +1,4 @@
-"""A plan done by Snakemake, on many cores of this machine or on a cluster, and how far it is."""
+"""A plan done by Snakemake on several cores of this machine, and how far it is."""
 
 import csv
 import io
@@ -26,14 +26,10 @@ SNAKEFILE = Path(__file__).with_name("Snakefile")
 
 _POLL_S = 1.0
 
-# What a cluster said may have lines of its own, up to the next message with its time.
 _FAILED = re.compile(
-    r"^Error in (?:rule|group) [^\n]*:\n(?P<said>(?:(?!\[|Error in )[^\n]*\n)*?)"
-    r"    log: (?P<logs>[^\n]+?) \(check log",
+    r"^Error in rule [^\n]*:\n(?:(?!\[|Error in )[^\n]*\n)*?    log: (?P<log>[^\n]+?) \(check log",
     re.MULTILINE,
 )
-_REFUSED = re.compile(r"The error message was '(?P<words>.*?)'\.\n", re.DOTALL)
-_ENDED = re.compile(r"SLURM status is: '(?P<status>\w+)'")
 
 # Of a benchmark file, in characters, and of a number in it; more is none of Snakemake's.
 _LONGEST = 10_000
@@ -167,34 +163,19 @@ def _number(text: str | None) -> float | None:
 
 def _failure(folder: Path, text: str) -> str:
     place = folder / "snakemake.log"
-    failed = failed_job(text)
-    if failed is None:
+    log = failed_log(text)
+    if log is None:
         return f"Snakemake stopped; see {place}, then give the same command again to go on."
-    logs, reason = failed
-    # A job that a cluster could not start printed nothing of its own.
-    printed = [folder / log for log in logs if _last_words(folder / log)]
-    if printed:
-        place = printed[0]
-        reason = reason or _last_words(place)
-    reason = reason.rstrip(".") or "it printed nothing"
+    printed = _last_words(folder / log)
+    reason = printed.rstrip(".") or "it printed nothing"
+    place = folder / log if printed else place
     return f"A step failed ({reason}); see {place}, then give the same command again to go on."
 
 
-def failed_job(text: str) -> tuple[list[str], str] | None:
-    """Finds the first step that Snakemake's own log calls failed; None for none.
-
-    Gives the files of what it printed, its own first; none where a cluster refused it, because then
-    an earlier try wrote them. And what the cluster says, such as TIMEOUT.
-    """
+def failed_log(text: str) -> str | None:
+    """Finds the log of the first step that Snakemake's own log calls failed; None for none."""
     match = _FAILED.search(text)
-    if match is None:
-        return None
-    refused = _REFUSED.search(match["said"])
-    if refused:
-        return [], " ".join(refused["words"].split())
-    ended = _ENDED.search(match["said"])
-    status = ended["status"] if ended else "FAILED"
-    return match["logs"].split(", "), "" if status == "FAILED" else f"Slurm says {status}"
+    return None if match is None else match["log"].split(", ")[0]
 
 
 def _last_words(path: Path) -> str:
