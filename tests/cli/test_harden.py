@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 import tyro
 
+from skyproof.detectors.card import PARENT_FILE
 from skyproof.detectors.loaded import load_detector
 from skyproof.files import write_json
 from skyproof.hardening import harden
@@ -47,6 +48,15 @@ def test_a_detector_is_hardened_and_can_be_assessed(
     parent = load_detector(finished / "detectors/retinanet")
     assert hardened.weights_sha256 != parent.weights_sha256
     assert hardened.card.training["identity"]["parent_sha256"] == parent.weights_sha256
+    kept = json.loads((folder / PARENT_FILE).read_text())
+    assert kept["weights_sha256"] == parent.weights_sha256
+    rows = json.loads((finished / "results.json").read_text())["rows"]
+    wanted = {
+        row["camouflage"]: row["easr"]
+        for row in rows
+        if row["match"] == "centre_1m" and not row["camouflage"].startswith("R-")
+    }
+    assert {name: own["frozen"]["hidden"][0] for name, own in kept["rates"].items()} == wanted
     (told,) = re.findall(r"Assess it anew: skyproof (.*)", answer.out)
     command, *words = shlex.split(told)
     request = tyro.cli(load_command(command), args=words, console_outputs=False)
@@ -91,10 +101,18 @@ def test_photographs_of_another_resolution_are_refused(
 
 def test_what_cannot_be_trained_is_refused(assessed: Path, skyproof: Skyproof) -> None:
     place = assessed / "detectors/retinanet/detector.json"
-    write_json(place, {**json.loads(place.read_text()), "size": "brought"})
+    # As of a callable, of which only the answers are known.
+    write_json(place, {**json.loads(place.read_text()), "size": ""})
     answer = skyproof("harden", assessed, "--out", assessed.parent / "hard")
-    answer.refused("retinanet was not trained by skyproof", "images that the report names")
+    answer.refused("retinanet cannot be trained here", "images that the report names")
     skyproof("harden", assessed.parent / "none", "--out", assessed.parent / "hard").refused(
         "none", "give a run of skyproof assess"
     )
+    assert not (assessed.parent / "hard").exists()
+
+
+def test_an_assessment_that_was_stopped_is_refused(assessed: Path, skyproof: Skyproof) -> None:
+    (assessed / "results.json").unlink()
+    answer = skyproof("harden", assessed, "--out", assessed.parent / "hard")
+    answer.refused(f"{assessed} is not finished", "skyproof assess again")
     assert not (assessed.parent / "hard").exists()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import time
 from collections.abc import Callable
@@ -25,6 +26,7 @@ from skyproof.storage import weights_digest
 
 LABELLED = bar_images(3, seed=1)
 IMAGES = torch.stack(LABELLED.images(range(len(LABELLED)))).float() / 255
+SEEN = list(LABELLED.boxes)
 NOTHING = [torch.zeros(0, 4)] * len(IMAGES)
 CLASSES = ["0", "1", "2", "3"]
 PLAN = Blueprint(
@@ -298,13 +300,117 @@ def test_several_vehicle_classes_give_the_best_of_each(imported: ImportedDetecto
     assert (single[0] != single[1]).any()
 
 
-def test_no_training_with_a_imported_detector(imported: ImportedDetector) -> None:
-    with pytest.raises(ConfigurationError, match="mine was imported"):
-        imported.loss(IMAGES, list(LABELLED.boxes))
+def test_what_no_loss_or_network_can_take_is_refused(imported: ImportedDetector) -> None:
     with pytest.raises(ConfigurationError, match="one tensor of boxes per image"):
         imported.loss(IMAGES, NOTHING[:1])
     with pytest.raises(ConfigurationError, match="at least 96 px"):
         imported.detect(torch.zeros(1, 3, 64, 200))
+
+
+@needs_yolo
+@pytest.mark.parametrize(
+    ("file", "change"),
+    [
+        ("yolov8n-obb.yaml", {}),
+        ("yolov5n.yaml", {"anchors": [[10, 13, 16, 30], [30, 61, 62, 45], [116, 90, 156, 198]]}),
+    ],
+)
+def test_networks_whose_loss_knows_no_vehicles_say_so(file: str, change: dict[str, Any]) -> None:
+    plan = yolo_plan(file, [1])
+    assert isinstance(plan.architecture, dict)
+    plan = replace(plan, architecture={**plan.architecture, **change})
+    assert not plan.trainable
+    detector = ImportedDetector("mine", plan).eval()
+    assert torch.isfinite(detector.loss(IMAGES, NOTHING)).all()
+    with pytest.raises(ConfigurationError, match="mine has turned boxes or anchors of 2020"):
+        detector.loss(IMAGES, SEEN)
+
+
+@pytest.mark.parametrize("architecture", ["fcos_resnet50_fpn", "retinanet_resnet50_fpn"])
+def test_loss_with_vehicles_is_torchvisions(architecture: str) -> None:
+    plan = replace(PLAN, architecture=architecture, classes=["0"], vehicle_classes=[0])
+    assert plan.trainable
+    ours = livened(ImportedDetector("mine", plan))
+    theirs = getattr(detection, architecture)(
+        weights=None, weights_backbone=None, num_classes=1, min_size=96, max_size=96
+    )
+    theirs.load_state_dict(ours.network.model.state_dict())
+    # Statistics stay, and losses are told only in the mode of training.
+    for layer in theirs.train().modules():
+        if isinstance(layer, nn.BatchNorm2d):
+            layer.eval()
+    found = ours.loss(IMAGES, SEEN)
+    for image, boxes, loss in zip(IMAGES, SEEN, found, strict=True):
+        if len(boxes):
+            labels = torch.zeros(len(boxes), dtype=torch.int64)
+            terms = theirs([image], [{"boxes": boxes, "labels": labels}])
+            torch.testing.assert_close(loss, sum(terms.values()), rtol=1e-4, atol=1e-5)
+
+
+def test_regions_learn_the_likeliest_vehicle_class() -> None:
+    """Of Faster R-CNN no loss is like the library's, which draws regions at random."""
+    plan = replace(PLAN, vehicle_classes=[1, 3])
+    detector = livened(ImportedDetector("mine", plan))
+    network = detector.network
+    assert isinstance(network, ImportedFasterRcnn)
+    logits = torch.tensor([[0.0, 1, 9, 2], [0, 3, 9, 1], [5, 0, 0, 0]], requires_grad=True)
+    deltas = torch.zeros(3, 16, requires_grad=True)
+    regions = torch.tensor([[10.0, 10, 50, 30], [12, 10, 50, 30], [70, 70, 90, 90]])
+    network._region_loss(logits, deltas, regions, torch.tensor([[10.0, 11, 50, 31]])).backward()
+    assert logits.grad is not None
+    assert deltas.grad is not None
+    # Rises: class 3 of the first region, class 1 of the second, background of the third.
+    assert [row.argmin().item() for row in logits.grad] == [3, 1, 0]
+    moved = deltas.grad.view(3, 4, 4).abs().sum(dim=2) > 0
+    assert moved.tolist() == [
+        [False, False, False, True],
+        [False, True, False, False],
+        [False] * 4,
+    ]
+
+
+@needs_yolo
+@pytest.mark.parametrize("file", ["yolov8n.yaml", "yolo26n.yaml", "yolov10n.yaml"])
+def test_loss_with_vehicles_is_ultralytics_own(file: str) -> None:
+    plan = yolo_plan(file, [0])
+    assert isinstance(plan.architecture, dict)
+    assert plan.trainable
+    plan = replace(plan, architecture={**plan.architecture, "nc": 1}, classes=["0"])
+    ours = livened(ImportedDetector("mine", plan))
+    from ultralytics.cfg import get_cfg
+    from ultralytics.utils.loss import E2ELoss, v8DetectionLoss
+
+    model: Any = ours.network.model
+    model.args = get_cfg()
+    both = hasattr(model.model[-1], "one2one_cv2")
+    # The head without suppression counts in a network that is used without it.
+    for alone in (False, True) if both else (False,):
+        model.model[-1].end2end = alone
+        criterion = E2ELoss(model).one2one if alone else v8DetectionLoss(model)
+        for image, boxes, loss in zip(IMAGES, SEEN, ours.loss(IMAGES, SEEN), strict=True):
+            if not len(boxes):
+                continue
+            raw = model(image[None])[1]
+            if both:
+                raw = raw["one2one" if alone else "one2many"]
+            zeros = torch.zeros(len(boxes))
+            centred = box_convert(boxes, "xyxy", "cxcywh") / 96
+            terms, _ = criterion(raw, {"batch_idx": zeros, "cls": zeros, "bboxes": centred})
+            torch.testing.assert_close(loss, terms.sum(), rtol=1e-4, atol=1e-4)
+
+
+def test_loss_with_vehicles_is_at_the_networks_resolution(imported: ImportedDetector) -> None:
+    at_twice = copy.copy(imported)
+    at_twice.image_scale = 2.0
+    large = functional.interpolate(
+        IMAGES, scale_factor=2, mode="bilinear", align_corners=False, antialias=True
+    )
+    wanted = imported.loss(large, [2 * boxes for boxes in SEEN])
+    torch.testing.assert_close(at_twice.loss(IMAGES, SEEN), wanted, rtol=1e-4, atol=1e-4)
+    # An image without vehicles has its own loss among others.
+    alone = imported.loss(IMAGES[:1], NOTHING[:1])
+    mixed = imported.loss(IMAGES, [NOTHING[0], *SEEN[1:]])
+    torch.testing.assert_close(mixed[:1], alone, rtol=1e-4, atol=1e-5)
 
 
 class Blobs(TrainableDetector):

@@ -111,7 +111,7 @@ def test_camouflages_climb_the_loss_that_the_detector_descends(
         return made[-1]
 
     monkeypatch.setattr(hardening, "make_camouflage", remember)
-    for name, value in (("_LIFE_STEPS", 80), ("_ALIVE", 1), ("_ATTACKS", ("T-U",))):
+    for name, value in (("_LIFE_STEPS", 80), ("_ALIVE", 1), ("ATTACKS", ("T-U",))):
         monkeypatch.setattr(hardening, name, value)
     # The detector hardly moves, so only the camouflage does.
     still = dataclasses.replace(SETTINGS, steps=30, learning_rate=1e-9, checkpoint_every=30)

@@ -9,13 +9,20 @@ from pathlib import Path
 
 import pytest
 import tyro
+from msgspec import to_builtins
 
+from skyproof.detectors.card import PARENT_FILE
+from skyproof.errors import StoredFileError
+from skyproof.files import write_json
 from skyproof.main import load_command
 from skyproof.report.advice import readings
+from skyproof.report.hardened import Parent, known_rates, scenes_of
 from skyproof.report.report import write_report
 from skyproof.results.conditions import Bin, Panel
+from skyproof.results.results import Results
 from skyproof.results.statistics.intervals import Interval
 from skyproof.scenes.scene import BackgroundWindow, Camera, Scene, Sun, write_scenes
+from skyproof.words import percent
 from tests.report.fabricate import DETECTORS, HIDES, fabricate
 
 
@@ -56,15 +63,54 @@ def test_others_train_on_images_that_commands_render(run_folder):
     assert given[1][given[1].index("--settings.size-px") + 1] == "192"
 
 
-def test_a_detector_of_ours_is_hardened_by_one_command(tmp_path, monkeypatch):
+@pytest.fixture
+def of_one(tmp_path, monkeypatch):
+    """A fabricated run of a single detector with its world."""
     monkeypatch.setattr("tests.report.fabricate.DETECTORS", DETECTORS[:1])
-    folder = with_world(fabricate(tmp_path / "run", scenes=16))
+    return with_world(fabricate(tmp_path / "run", scenes=16))
+
+
+def test_a_detector_that_can_be_trained_is_hardened_by_one_command(of_one):
+    folder = of_one
     config = json.loads((folder / "config.json").read_text())
     suite = {"version": 6, "sha256": "0" * 64, "scored": []}
     (folder / "config.json").write_text(json.dumps({**config, "suite": suite}))
     (given,) = commands(write_report(folder).read_text())
     command = tyro.cli(load_command(given[1]), args=given[2:], console_outputs=False)
     assert command.run_folder == Path(".")
+
+
+def test_a_hardened_detector_stands_beside_its_parent(of_one, tmp_path, monkeypatch):
+    write_report(of_one)
+    rows = json.loads((of_one / "results.json").read_text())
+    monkeypatch.setitem(HIDES, "T-U", 0.25)
+    after = with_world(fabricate(tmp_path / "after", scenes=16))
+    folder = after / "detectors" / DETECTORS[0]
+    results = Results.open(of_one)
+    parent = Parent(*known_rates(results), ["T-U", "T-Ma"], "0" * 64, scenes_of(results))
+    write_json(folder / PARENT_FILE, to_builtins(parent))
+    page = write_report(after).read_text()
+    (table,) = re.findall(r"before and after hardening, each by.*?</table>", page, flags=re.S)
+    (row,) = re.findall(r"<tr><td>T-U</td>(.*?)</tr>", table, flags=re.S)
+    (hidden,) = (
+        one["easr"]
+        for one in rows["rows"]
+        if (one["camouflage"], one["match"], one["renderer"]) == ("T-U", "centre_1m", "torch")
+    )
+    later = json.loads((after / "results.json").read_text())["rows"][0]
+    assert later["camouflage"] == "T-U"
+    assert hidden > later["easr"] + 0.3
+    assert re.findall(r"<td>(.*?)<br>", row)[:2] == [percent(hidden), percent(later["easr"])]
+    assert "Hardening showed it T-U and T-Ma; all other attacks were held out." in page
+    assert f"from its parent {percent(hidden)} (T-U)" in page
+    # A comparison on other scenes would say nothing.
+    (after / "scenes/test.jsonl").write_bytes((after / "scenes/test.jsonl").read_bytes() + b"\n")
+    page = write_report(after).read_text()
+    assert "Its parent was assessed on other scenes" in page
+    assert "each by an attack" not in page
+    (folder / PARENT_FILE).write_text("{}")
+    with pytest.raises(StoredFileError, match="harden the detector again"):
+        write_report(after)
 
 
 @pytest.mark.parametrize("part", ["backgrounds", "fleets", "scenes", "camouflages"])

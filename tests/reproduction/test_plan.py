@@ -138,50 +138,6 @@ def test_controls_are_chosen_and_shapes_drawn_on_learnt_textures():
     assert best.settings.draws == 7
 
 
-def test_further_trainings_repeat_the_attacks_on_the_same_world():
-    more = {"trainings": 3, "seed": 7, "repeats": 2, "best_of": 4, "transfer": ["T-Fc"]}
-    detectors = {"detectors": ["retinanet", "faster_rcnn"]}
-    once = reproduction_plan(Preset.parse({**TINY, **more, **detectors, "trainings": 1}), Path("r"))
-    plan = reproduction_plan(Preset.parse({**TINY, **more, **detectors}), Path("r"))
-    # The run itself is the first training, and stays as it is but for the report.
-    before = {step.id: step for step in once.steps}
-    assert [step for step in plan.steps if step.id in before and step != before[step.id]] == [
-        plan.steps[-1]
-    ]
-    steps = {step.id: step for step in plan.steps}
-    attacks = ("T-Fc", "S-O@0.4", "C-Fc-seq@0.4", "C-Fc-par@0.4")
-    # Neither transfers nor controls, which are drawn once and chosen for the first alone.
-    assert [name for name in steps if name not in before] == [
-        f"{kind}/training-{number}-{name}"
-        for number in (1, 2)
-        for kind, names in (
-            ("train", ("retinanet", "faster_rcnn")),
-            ("attack", [f"{attack}-{repeat}" for repeat in (0, 1) for attack in attacks]),
-            ("score", ("000", "001")),
-        )
-        for name in names
-    ]
-    # From the same images, and from another seed each.
-    trained = [steps[f"train/{prefix}retinanet"].settings for prefix in ("", "training-1-")]
-    assert [command.seed for command in trained] == [7, 8]
-    assert {command.data for command in trained} == {Path("r/datasets/train")}
-    assert trained[1].out == Path("r/trainings/1/detectors/retinanet")
-    names = [f"{prefix}T-Fc-{repeat}" for prefix in ("", "training-2-") for repeat in (0, 1)]
-    learnt = [steps[f"attack/{name}"].settings for name in names]
-    assert [command.settings.seed for command in learnt] == [7, 8, 11, 12]
-    sequential = steps["attack/training-2-C-Fc-seq@0.4-1"].settings
-    assert sequential.texture == Path("r/trainings/2/camouflages/T-Fc-1")
-    assert sequential.detectors[1] == Path("r/trainings/2/detectors/faster_rcnn")
-    assert sequential.fleet == Path("r/fleets/attack")
-    scored = steps["score/training-2-000"].settings
-    assert scored.out == Path("r/trainings/2/scores/000")
-    assert scored.original == Path("r/datasets/test")
-    # Draws of the controls are those of the run.
-    assert scored.camouflages[0] == Path("r/camouflages/R-Fc-0")
-    assert Path("r/camouflages/R-Fc-0/camouflage.json") in steps["score/training-2-000"].inputs
-    assert Path("r/trainings/2/scores/001") in plan.steps[-1].inputs
-
-
 def test_features_are_stored_of_a_texture_its_control_and_a_plain_paint():
     more = {"textures": ["Ma"], "repeats": 2, "draws": 2, "best_of": 7, "score_batch": 6}
     plan = reproduction_plan(Preset.parse({**TINY, **more, "features": ["T-Ma"]}), Path("run"))
@@ -286,9 +242,8 @@ def test_every_name_can_be_made_and_has_its_control(preset):
     full = Jobs(settings)
     attacks = {CamouflageName.parse(name): job for name, job in full.attacks.items()}
     textures = {name.pooled for name in attacks if name.kind == "texture" and not name.variant}
-    # All of the paper's, but of detectors that are to be shipped only what is told of them, and of
-    # several trainings the headlines and the texture that lies under one of them.
-    count = {"reference": 2, "trainings": 4}.get(preset, 12)
+    # All of the paper's, but of detectors that are to be shipped only what is told of them.
+    count = 2 if preset == "reference" else 12
     assert len(textures) == len(set(settings.textures)) == count
     controls = {CamouflageName.parse(name) for name in full.controls}
     assert all(name.random for name in controls)
@@ -298,9 +253,7 @@ def test_every_name_can_be_made_and_has_its_control(preset):
         assert (name.order == "seq") == (job.texture is not None)
         assert name.control in pooled
     # One attack of each is enough to say what a detector is like, and too little for a table.
-    # With every training comes one from another seed.
-    repeats = settings.repeats * settings.trainings
-    assert repeats >= (1 if preset == "reference" else 3)
+    assert settings.repeats >= (1 if preset == "reference" else 3)
     assert settings.draws >= 3
 
 
@@ -440,7 +393,7 @@ def dry_run(folder, preset, *more):
     return counts, said
 
 
-@pytest.mark.parametrize(("preset", "cycles"), [("quick", True), ("trainings", False)])
+@pytest.mark.parametrize(("preset", "cycles"), [("quick", True), ("reference", False)])
 def test_snakemake_sees_the_same_steps_and_no_cycle(preset, cycles, tmp_path):
     counted, _ = dry_run(
         tmp_path, PRESETS[preset], *(["--config", "blender=/blender"] if cycles else [])
@@ -453,7 +406,7 @@ def test_snakemake_sees_the_same_steps_and_no_cycle(preset, cycles, tmp_path):
     }
 
 
-@pytest.mark.parametrize("preset", ["quick", "reference", "trainings"])
+@pytest.mark.parametrize("preset", ["quick", "reference"])
 def test_cycles_adds_steps_and_changes_none_but_the_report(preset):
     plain, more = (whole_plan(preset, cycles) for cycles in (False, True))
     added = {step.id: step for step in more.steps}
@@ -562,9 +515,6 @@ def test_a_finished_run_is_given_only_the_cycles_column(tmp_path):
         ({"resources": {"shell": 1}}, "no field 'shell'"),
         ({"seed": 2**63}, "64 bits"),
         ({"repeats": 10**9}, "repeats"),
-        ({"trainings": 0}, "trainings"),
-        ({"trainings": 11}, "trainings"),
-        ({"trainings": 2, "reference": ["retinanet"]}, "retinanet comes trained once; take it out"),
         ({"transfer": ["T-U_x; touch y"]}, "transfer"),
         ({"magnitudes": [1e-320, 1e300]}, "magnitudes"),
         ({"combined_magnitudes": {"{x}": [0.2]}}, "constraints"),

@@ -97,22 +97,13 @@ def say_expected(layout: Layout, suite: Suite) -> None:
     """
     compared = []
     for row in _read(layout).of(suite.attacks, MAIN_MATCH).values():
-        if row.renderer != "torch" or not _is_reference(layout, row.detector):
-            continue
         expected = suite.expected.get(row.detector, {}).get(row.camouflage)
-        if expected is None:
+        if expected is None or row.renderer != "torch" or not _is_reference(layout, row.detector):
             continue
         weaker = row.easr is None or row.easr < expected.low
-        compared.append(
-            {
-                "detector": row.detector,
-                "camouflage": row.camouflage,
-                "easr": row.easr,
-                "expected": expected.easr,
-                "at_least": expected.low,
-                "weaker": weaker,
-            }
-        )
+        place = {"detector": row.detector, "camouflage": row.camouflage, "weaker": weaker}
+        rates = {"easr": row.easr, "expected": expected.easr, "at_least": expected.low}
+        compared.append(place | rates)
         if weaker:
             say(
                 f"  WEAKER THAN EXPECTED: {row.camouflage} {hides(row.easr)} from "

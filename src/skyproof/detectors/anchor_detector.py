@@ -22,7 +22,6 @@ from skyproof.detectors.detector import (
     pad_to_stride,
 )
 from skyproof.detectors.ultralytics_detectors import build_model
-from skyproof.errors import ConfigurationError
 
 _USUAL_SIDE_PX = 640
 _USUAL_LEVELS = 3
@@ -128,10 +127,6 @@ class AnchorDetector(TrainableDetector):
     def loss(self, images: Images, targets: Sequence[Boxes]) -> Float[Tensor, " B"]:
         """The source's loss of objectness per image against an empty truth, padding included."""
         check_targets(images, targets)
-        if any(map(len, targets)):
-            raise ConfigurationError(
-                "A YOLOv5 with anchors is not trained here; train it where it came from."
-            )
         levels = self._answers(images).levels
         height_px, width_px = (side * self._head.strides_px[0] for side in levels[0].shape[2:4])
         gain = _USUAL_LEVELS / len(levels) * height_px * width_px / _USUAL_SIDE_PX**2

@@ -122,6 +122,12 @@ class Blueprint:
                 f"the vehicle class {max(self.vehicle_classes)} is not among {len(self.classes)}."
             )
 
+    @property
+    def trainable(self) -> bool:
+        """Whether the network's loss here knows vehicles; not with turned boxes or anchors."""
+        plan = self.architecture
+        return isinstance(plan, str) or not ("anchors" in plan or HEADS[plan["head"][-1][2]])
+
 
 def check_layers(architecture: Any) -> None:
     """Refuses a content of an Ultralytics YAML file but plain layers and a detection head."""

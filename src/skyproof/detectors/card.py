@@ -35,6 +35,9 @@ LEAST_VEHICLES = 50
 The 95 % interval of a recall of 90 % is 8 points either way for 50 vehicles, and 26 for 5.
 """
 
+PARENT_FILE = "parent.json"
+"""In the folder of a hardened detector: the results of the detector that it was before."""
+
 _FORMAT = 1
 _REMEDY = "copy the whole folder again, or train or import the detector again"
 
@@ -81,22 +84,25 @@ class DetectorCard:
         check_ranges(self)
 
     @property
+    def trainable(self) -> bool:
+        """Whether the detector can be trained here; not if only its answers are known."""
+        return bool(self.size) and (self.brought is None or self.brought.trainable)
+
+    @property
     def doubts(self) -> list[str]:
         """The reasons not to attack the detector at all, one sentence each; usually none."""
         name = detector_name(self.name)
         ap = self.validation.get("ap_centre_1m")
         found = []
         if ap is not None and ap < LEAST_AP:
-            remedy = (
-                "check the labels and the metres per pixel of the imagery"
-                if self.threshold_from
-                else "train it longer or on more images"
-                if self.brought is None and self.size
-                else "check its boxes and the metres per pixel that it was made for"
-                if self.brought is None
-                else "check that the checkpoint was trained, and check --vehicle-classes and the "
-                "metres per pixel that it was made for"
-            )
+            remedy = "check its boxes and the metres per pixel that it was made for"
+            if self.threshold_from:
+                remedy = "check the labels and the metres per pixel of the imagery"
+            elif self.brought is not None:
+                checked = "check that the checkpoint was trained, and check --vehicle-classes and"
+                remedy = f"{checked} the metres per pixel that it was made for"
+            elif self.size:
+                remedy = "train it longer or on more images"
             found.append(
                 f"{name} reaches a validation AP of {ap:.3f}, and below {LEAST_AP:g} no attack on "
                 f"it means anything; {remedy}."

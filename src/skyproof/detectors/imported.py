@@ -57,6 +57,7 @@ class ImportedDetector(TrainableDetector):
         super().__init__()
         self.name = name
         self.image_scale = float(blueprint.image_scale)
+        self._trainable = blueprint.trainable
         # The libraries draw weights, which must not change the program's own draws.
         with torch.random.fork_rng(devices=[]):
             self.network = _network(blueprint)
@@ -82,6 +83,11 @@ class ImportedDetector(TrainableDetector):
         Any vehicle class is right for a vehicle. Nothing is learnt about other classes.
         """
         check_targets(images, targets)
+        if any(map(len, targets)) and not self._trainable:
+            raise ConfigurationError(
+                f"{self.name} has turned boxes or anchors of 2020, with which nothing is trained "
+                "here; train it where it came from."
+            )
         ratio = self._ratio(images)
         with self._seeing(images) as scaled:
             return self.network.loss(scaled, [boxes / ratio.to(boxes) for boxes in targets])

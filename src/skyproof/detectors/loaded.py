@@ -11,6 +11,7 @@ import torch
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.answers import Answering, BlackBoxDetector
 from skyproof.detectors.card import (
+    PARENT_FILE,
     DetectorCard,
     detector_folder,
     read_card,
@@ -62,7 +63,7 @@ def save_detector(folder: Path, detector: TrainableDetector, card: DetectorCard)
 
 def copy_detector(folder: Path, out: Path, also: Sequence[str] = ()) -> None:
     """Copies a detector's files, and those of `also` that exist; refuses links out of it."""
-    for name in ("weights.safetensors", *also, "detector.json"):
+    for name in ("weights.safetensors", PARENT_FILE, *also, "detector.json"):
         file = inside(folder, name, folder)
         if file.is_file():
             write_bytes(out / name, file.read_bytes())
@@ -180,5 +181,6 @@ def copy_with_threshold(
             validation=frozen.validation,
             validation_vehicles=frozen.validation_vehicles,
         )
+        copy_detector(folder, partial)
         save_detector(partial, detector, card)
     return f"Threshold {card.threshold:.3f} instead of {detector.threshold:.3f}: {how}."

@@ -88,7 +88,7 @@ def fit(
     on_step: Callable[[dict[str, Any]], None] | None = None,
     parts: Mapping[str, LoopPart] | None = None,
 ) -> DetectorCard:
-    """Takes the steps of a training, as `train` says; the detector is in its mode of training.
+    """Takes the steps of a training, as `train` says; the detector stays in its mode.
 
     `lessons` gets the steps to take, counted from 0. At each it adds the gradients of the step's
     images, and gives their mean loss. `card` is completed by threshold and scores of the best

@@ -92,11 +92,6 @@ class YoloDetector(TrainableDetector):
         empty = CLASS_GAIN * functional.softplus(logits).sum(dim=(1, 2)) / POINTS_PER_VEHICLE
         if not any(map(len, targets)):
             return empty
-        if "angle" in outputs:
-            raise ConfigurationError(
-                "A network of turned boxes learns nothing from upright ones; train it where it "
-                "came from."
-            )
         criterion = self._criterion()
         stride_px = float(self.model.stride[0])
         height, width = (side * stride_px for side in outputs["feats"][0].shape[-2:])

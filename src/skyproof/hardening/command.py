@@ -17,7 +17,7 @@ class Harden:
     with the same command.
 
     Attributes:
-        run_folder: finished run of `skyproof assess` with one detector that skyproof trained.
+        run_folder: finished run of `skyproof assess` with one detector.
         out: run folder to write; `detectors` in it holds the hardened detector.
         data: further dataset folders of labelled photographs, apart from those of the test.
         steps: number of optimiser steps.

@@ -8,6 +8,8 @@ from math import isclose
 from pathlib import Path
 from typing import Any
 
+from msgspec import to_builtins
+
 from skyproof.assessment.subject import places_of
 from skyproof.assessment.suite import read_suite, side_px
 from skyproof.attacks.world import World
@@ -17,22 +19,27 @@ from skyproof.cli.render import Render, draw_scenes
 from skyproof.cli.vehicles import Vehicles
 from skyproof.console import progress_bar, say
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.card import read_card
+from skyproof.detectors.card import PARENT_FILE, read_card
 from skyproof.detectors.loaded import load_ensemble
-from skyproof.detectors.settings import SIZES, TrainingSettings
+from skyproof.detectors.settings import TrainingSettings
 from skyproof.device import choose_device
 from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError
+from skyproof.files import write_json
 from skyproof.hardening.command import Harden
-from skyproof.hardening.training import harden
+from skyproof.hardening.training import ATTACKS, harden
 from skyproof.imagery.settings import tiling_for_images
 from skyproof.layout import Layout
+from skyproof.report.hardened import Parent, known_rates, scenes_of
+from skyproof.results.results import Results
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.settings import SceneSettings
 from skyproof.seeds import next_seed
 
 _TILES, _VEHICLES, _VALIDATION_SCENES = (1, 1, 120, 1), (200, 1, 1, 1), 120
 _IMAGES_PER_STEP, _LEARNING_RATE = 16, 1e-3
+# Above, a network forgets at that rate what a long training gave it.
+_FEW_PARAMETERS = 10_000_000
 _DRAWN_PX, _OTHER_GROUND = 192, 1_000_003
 _REMEDY = "give a run of skyproof assess"
 
@@ -47,56 +54,93 @@ def harden_run(request: Harden) -> None:
             f"{layout.folder} is no assessment of a single detector; assess the detector alone "
             "(skyproof assess), and give that run."
         )
-    place = layout.detector(names[0])
-    card = read_card(place)
-    if card.size not in SIZES:
+    card = read_card(layout.detector(names[0]))
+    if not card.trainable:
         raise ConfigurationError(
-            f"{card.name} was not trained by skyproof, which can train only its own networks "
-            "further; add the images that the report names to its own training."
+            f"{card.name} cannot be trained here, as detectors of train and most imported ones "
+            "can; add the images that the report names to its own training."
         )
-    (detector,) = load_ensemble([place], choose_device("auto"), card.gsd_m)
-    imagery, labelled = config.get("imagery") != "procedural", config.get("labels") is not None
-    photographs = [*map(Dataset.open, request.data)]
-    photographs += [Dataset.open(layout.tiles / "attack")] if labelled else []
-    other = next((each for each in photographs if not isclose(each.gsd_m, card.gsd_m)), None)
-    if other is not None:
-        raise ConfigurationError(f"{other.folder} is not of {card.gsd_m} m per pixel; resample it.")
-    if not photographs:
-        say("  note: without labelled photographs (--data) it may find fewer vehicles on them.")
-    if not out.fleets.exists():
-        Vehicles(out.fleets, counts=_VEHICLES, seed=request.seed).run()
-    if not imagery and not out.backgrounds.exists():
-        tiling = tiling_for_images(_DRAWN_PX, gsd_m=card.gsd_m, imagery=False)
-        # An assessment draws its ground from its own seed.
-        seed = next_seed(request.seed, _OTHER_GROUND)
-        Ground(out.backgrounds, tiles=_TILES, seed=seed, tiling=tiling).run()
-    backgrounds = (layout if imagery else out).backgrounds
-    world = World.open(
-        backgrounds,
-        out.fleets / "train",
-        size_px=side_px(read_suite().attack_m, card.gsd_m),
-        places=places_of(BackgroundSet.open(backgrounds)) if imagery else "uniform",
-    )
-    validation = layout.tiles / "validation" if labelled else _rendered(layout, out, card.gsd_m)
-    settings = TrainingSettings(request.steps, _IMAGES_PER_STEP, _LEARNING_RATE)
     folder = out.detector(names[0])
+    device = choose_device("auto")
+    (detector,) = load_ensemble([layout.detector(names[0])], device, card.gsd_m)
+    parent = _parent(layout, detector.weights_sha256)
+    photographs = _photographs(request, layout, config, card.gsd_m)
+    settings = TrainingSettings(
+        request.steps,
+        _IMAGES_PER_STEP,
+        _LEARNING_RATE if card.parameters <= _FEW_PARAMETERS else _LEARNING_RATE / 5,
+    )
+    world = _world(request, layout, out, config, card.gsd_m)
+    validation = _validation(layout, out, config, card.gsd_m)
     with progress_bar(f"harden {card.name}") as update:
         hardened = harden(
             detector,
             world,
-            Dataset.joined(photographs) if photographs else None,
-            Dataset.open(validation),
+            photographs,
+            validation,
             settings,
             folder,
             seed=request.seed,
             on_step=lambda row: update(row["step"], settings.steps),
         )
+    write_json(folder / PARENT_FILE, to_builtins(parent))
     say_card(hardened, folder)
     say(f"Assess it anew: {_assess(config, folder)}")
 
 
-def _rendered(layout: Layout, out: Layout, gsd_m: float) -> Path:
-    """Renders vehicles and empty ground to freeze a threshold on, apart from attack and test."""
+def _parent(layout: Layout, weights_sha256: str) -> Parent:
+    """What the folder of the hardened detector is to tell of the assessment before."""
+    if not layout.results.exists():
+        raise ConfigurationError(
+            f"{layout.folder} is not finished; give its command of skyproof assess again first."
+        )
+    results = Results.open(layout.folder)
+    return Parent(*known_rates(results), [*ATTACKS], weights_sha256, scenes_of(results))
+
+
+def _photographs(
+    request: Harden, layout: Layout, config: Mapping[str, Any], gsd_m: float
+) -> Dataset | None:
+    """The user's labelled photographs and the attack tiles of the assessment; None without any."""
+    photographs = [*map(Dataset.open, request.data)]
+    photographs += [Dataset.open(layout.tiles / "attack")] if _labelled(config) else []
+    other = next((each for each in photographs if not isclose(each.gsd_m, gsd_m)), None)
+    if other is not None:
+        raise ConfigurationError(f"{other.folder} is not of {gsd_m} m per pixel; resample it.")
+    if not photographs:
+        say("  note: without labelled photographs (--data) it may find fewer vehicles on them.")
+    return Dataset.joined(photographs) if photographs else None
+
+
+def _world(
+    request: Harden, layout: Layout, out: Layout, config: Mapping[str, Any], gsd_m: float
+) -> World:
+    """Vehicles in many paints on the attack tiles, or on drawn ground of another seed."""
+    imagery = config.get("imagery") != "procedural"
+    if not out.fleets.exists():
+        Vehicles(out.fleets, counts=_VEHICLES, seed=request.seed).run()
+    if not imagery and not out.backgrounds.exists():
+        tiling = tiling_for_images(_DRAWN_PX, gsd_m=gsd_m, imagery=False)
+        # An assessment draws its ground from its own seed.
+        seed = next_seed(request.seed, _OTHER_GROUND)
+        Ground(out.backgrounds, tiles=_TILES, seed=seed, tiling=tiling).run()
+    backgrounds = (layout if imagery else out).backgrounds
+    return World.open(
+        backgrounds,
+        out.fleets / "train",
+        size_px=side_px(read_suite().attack_m, gsd_m),
+        places=places_of(BackgroundSet.open(backgrounds)) if imagery else "uniform",
+    )
+
+
+def _labelled(config: Mapping[str, Any]) -> bool:
+    return config.get("labels") is not None
+
+
+def _validation(layout: Layout, out: Layout, config: Mapping[str, Any], gsd_m: float) -> Dataset:
+    """Images to freeze a threshold on, apart from attack and test: labelled ones, or renders."""
+    if _labelled(config):
+        return Dataset.open(layout.tiles / "validation")
     images, scenes = out.dataset("validation"), out.scenes("validation")
     ground, fleet = layout.backgrounds, layout.fleets / "validation"
     if not scenes.exists():
@@ -111,7 +155,7 @@ def _rendered(layout: Layout, out: Layout, gsd_m: float) -> Path:
         )
     if not images.exists():
         Render(scenes=scenes, backgrounds=ground, fleet=fleet, out=images).run()
-    return images
+    return Dataset.open(images)
 
 
 def _assess(config: Mapping[str, Any], detector: Path) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
 from skyproof.attacks.attack import make_optimiser
 from skyproof.attacks.settings import AttackSettings
@@ -33,7 +33,7 @@ from skyproof.render.frames import Frames
 from skyproof.scenes.scene import Scene
 
 # T-PixFcMa, shapes and combinations are left out, so that they show whether hardening carries over.
-_ATTACKS = ("T-U", "T-Ma", "T-Pix")
+ATTACKS = ("T-U", "T-Ma", "T-Pix")
 _ALIVE, _LIFE_STEPS = 4, 80
 # Camouflages that are kept, and the share of steps that show one, so that none is forgotten.
 _KEPT, _KEPT_SHARE = 12, 0.3
@@ -66,7 +66,7 @@ def harden(
     are kept, because scores on images without camouflage say nothing about robustness.
 
     Args:
-        detector: one of ours with its card, on the device to work on.
+        detector: a detector with its card, on the device to work on.
         world: ground, and vehicles in many paints, apart from those of any test.
         photographs: labelled images, apart from those of any test.
         validation: labelled images to freeze the threshold on.
@@ -79,7 +79,7 @@ def harden(
     identity = {
         "seed": seed,
         "settings": asdict(settings),
-        "attacks": list(_ATTACKS),
+        "attacks": list(ATTACKS),
         "parent_sha256": detector.weights_sha256,
         "world_sha256": world.digest,
         "data_sha256": None if photographs is None else photographs.digest,
@@ -111,11 +111,9 @@ def harden(
         trained_on="; ".join(filter(None, [parent.trained_on, "hardened"]))[:10_000],
         threshold_from="",
     )
-    detector.train().requires_grad_(True)
-    for layer in detector.modules():
-        # A few small images would spoil the statistics of a whole training.
-        if isinstance(layer, nn.modules.batchnorm._BatchNorm):
-            layer.eval()
+    # A few small images would spoil the statistics of a whole training; and the head that some
+    # networks are used with is cut off from the others while they train.
+    detector.eval().requires_grad_(True)
     return fit(
         detector, validation, settings, folder, identity, lessons, card, on_step, {"worn": worn}
     )
@@ -207,7 +205,7 @@ class _Worn:
             self._kept.append((number, camouflage.requires_grad_(False)))
 
     def _fresh(self, number: int) -> tuple[int, Camouflage, torch.optim.Adam]:
-        name = CamouflageName.parse(_ATTACKS[number % len(_ATTACKS)])
+        name = CamouflageName.parse(ATTACKS[number % len(ATTACKS)])
         camouflage = make_camouflage(
             name,
             generator=generator_of(self._seed, "worn", number),

@@ -16,6 +16,7 @@ from skyproof.errors import ConfigurationError
 from skyproof.files import file_digest, write_json
 from skyproof.layout import Layout
 from skyproof.report.figures import chances_figure
+from skyproof.report.hardened import parent_of
 from skyproof.report.tiles import attack_tiles, paint_tiles
 from skyproof.results.likeness import Likeness
 from skyproof.results.precheck import findings, worst
@@ -196,6 +197,7 @@ def write_verdict(results: Results, acceptance: Acceptance, alarms: Sequence[str
     layout = Layout(results.folder)
     digests = {name: card.weights_sha256 for name, card in results.cards.items()}
     scored = {key.camouflage for key in results.counts.series}
+    parent = parent_of(results)
     alarms_of = {name: own[0].false_alarms_per_km2 for name, own in results.points.items() if own}
     document = {
         "skyproof": skyproof.__version__,
@@ -216,6 +218,7 @@ def write_verdict(results: Results, acceptance: Acceptance, alarms: Sequence[str
                 **_likeness(results, ruling.detector),
                 "false_alarms_per_km2": alarms_of.get(ruling.detector),
                 "weights_sha256": digests.get(ruling.detector, ""),
+                **({} if parent is None else {"parent_sha256": parent.weights_sha256}),
                 "attacks": {name: asdict(said) for name, said in ruling.attacks.items()},
                 "paint": None
                 if ruling.paint is None

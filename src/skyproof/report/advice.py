@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 from skyproof import words
 from skyproof.camouflage.name import CamouflageName
-from skyproof.detectors.settings import SIZES
 from skyproof.layout import Layout
 from skyproof.results.conditions import Bin, Panel
 from skyproof.results.result import MEAN, Result
@@ -116,12 +115,12 @@ def _attacked(results: Results, camouflage: CamouflageName) -> list[str]:
 class Hardening:
     """How to train the weaknesses away: the attacks, and commands to give in the run folder.
 
-    A detector that skyproof trained is `ours`: one command trains it further. For others, commands
-    render images to add to their training.
+    One command trains a detector further that is `trainable` here. For others, commands render
+    images to add to their training.
     """
 
     attacks: Sequence[str]
-    ours: bool
+    trainable: bool
     commands: Sequence[str]
 
 
@@ -139,7 +138,7 @@ def hardening(results: Results, every: Sequence[Result]) -> Hardening | None:
         return None
     attacks = [str(row.camouflage) for row in ranked]
     cards = [results.cards[name] for name in results.detectors if name in results.cards]
-    if results.config.suite and len(cards) == 1 and cards[0].size in SIZES:
+    if results.config.suite and len(cards) == 1 and cards[0].trainable:
         return Hardening(attacks, True, ["skyproof harden . --out ../hardened"])
     size_px = results.test_scenes[0].camera.size_px
     scenes = f"--backgrounds backgrounds --split attack --settings.size-px {size_px} --labels yolo"

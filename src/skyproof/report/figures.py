@@ -3,8 +3,7 @@
 import base64
 import io
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -49,15 +48,6 @@ STYLE: Any = {
 
 
 _REMEDY = "copy the whole folder again, or score again"
-
-
-@contextmanager
-def figure_style(name: str, *, font: float = 11, title: float = 12) -> Iterator[None]:
-    """Draws with bold titles at the left; `name` tells the SVG's ids from those of others."""
-    titles = {"titlelocation": "left", "titleweight": "bold", "titlesize": title}
-    style = STYLE | {f"axes.{key}": value for key, value in titles.items()}
-    with plt.rc_context(style | {"svg.hashsalt": name, "font.size": font}):
-        yield
 
 
 def panels(lines: int, columns: int, width: float, height: float, **shared: Any) -> tuple[Any, Any]:
@@ -191,18 +181,6 @@ def condition_figure(conditions: Sequence[Panel]) -> str:
         for axes in list(grid.flat)[len(conditions) :]:
             axes.set_visible(False)
         return as_svg(figure)
-
-
-def as_files(figure: Figure) -> dict[str, bytes]:
-    """Gives a figure as SVG and as PNG, by file ending, and closes it."""
-    written = {}
-    for ending in ("svg", "png"):
-        stream = io.BytesIO()
-        about = {"Date": None} if ending == "svg" else {}
-        figure.savefig(stream, format=ending, dpi=130, metadata=about)
-        written[ending] = stream.getvalue()
-    plt.close(figure)
-    return written
 
 
 def as_svg(figure: Figure) -> str:

@@ -27,6 +27,7 @@ from skyproof.report.figures import (
     forest_figure,
     loss_figure,
 )
+from skyproof.report.hardened import beside_parent
 from skyproof.report.opening import opening, strongest_of
 from skyproof.report.queries import query_part
 from skyproof.results.conditions import Panel, condition_panels
@@ -163,6 +164,7 @@ def _write(
             bounds=(LARGEST_DIFFERENCE, LEAST_OVERLAP),
             points=_points(results),
             alarms=alarms_in_words(results.points),
+            beside=beside_parent(results),
             opening=opening(every, acceptance, precheck, baselines, hardened=hardened is not None),
             example=next(iter(contents.pairs(strongest, 1)), None) if strongest else None,
             more=more,

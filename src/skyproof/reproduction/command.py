@@ -22,7 +22,7 @@ class Reproduce:
     Attributes:
         preset: quick (slim detectors, two hours of two CPU cores), overnight (all combinations,
             five repeats, longer attacks), paper (full size, one GPU), reference (the shipped
-            detectors), trainings (three trainings of each detector), or a JSON file like theirs.
+            detectors), or a JSON file like theirs.
         out: run folder to write.
         cores: number of CPU cores; all by default. With 1, the steps run in this process, without
             Snakemake.

@@ -12,7 +12,8 @@ from matplotlib.lines import Line2D
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
-from skyproof.report.figures import GREY, INK, as_files, figure_style, panels, rule
+from skyproof.report.figures import GREY, INK, panels, rule
+from skyproof.reproduction.figures import as_files, figure_style
 from skyproof.reproduction.paper_results import PAPER_RESULTS
 from skyproof.results.outcomes import OutcomeCounts, Series, repeat_of
 from skyproof.results.result import MAIN_MATCH

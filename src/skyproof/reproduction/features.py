@@ -14,16 +14,7 @@ from jaxtyping import Bool, Float, Int
 from matplotlib.lines import Line2D
 
 from skyproof.camouflage.name import CamouflageName
-from skyproof.report.figures import (
-    BLUE,
-    GREEN,
-    GREY,
-    ORANGE,
-    PURPLE,
-    as_files,
-    figure_style,
-    panels,
-)
+from skyproof.report.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, panels
 from skyproof.reproduction.cells import (
     Block,
     Figure,
@@ -35,6 +26,7 @@ from skyproof.reproduction.cells import (
     rate,
     value,
 )
+from skyproof.reproduction.figures import as_files, figure_style
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.reproduction.stored import GROUND, Features
 from skyproof.results.outcomes import ORIGINAL

@@ -8,7 +8,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from skyproof.camouflage.name import CamouflageName
-from skyproof.report.figures import BLUE, GREY, INK, ORANGE, as_files, figure_style, panels, rule
+from skyproof.report.figures import BLUE, GREY, INK, ORANGE, panels, rule
 from skyproof.reproduction.cells import (
     Block,
     Figure,
@@ -21,6 +21,7 @@ from skyproof.reproduction.cells import (
     rate,
 )
 from skyproof.reproduction.cycles import rates_under
+from skyproof.reproduction.figures import as_files, figure_style
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.results.operating_points import EQUAL_ALARMS
 from skyproof.results.result import MEAN

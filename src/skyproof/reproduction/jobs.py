@@ -46,7 +46,6 @@ class Jobs:
         cycles_batches: random controls and finished attacks on all detectors, as in the paper's
             "Blender" column.
         held_out_batches: everything but transferred attacks and those in weather.
-        repeated: attacks that every further training repeats.
     """
 
     def __init__(self, preset: Preset) -> None:
@@ -71,11 +70,9 @@ class Jobs:
         learnt = [job.name for job in jobs]
         self.looked_at = tuple(str(name) for name in (*learnt, *drawn) if self._is_shown(name))
 
-        self.repeated = tuple(job for job in jobs if not job.name.variant)
-        finished = [job.name for job in self.repeated]
+        finished = [job.name for job in jobs if not job.name.variant]
         self.batches = self._batched(self.controls, folders, late)
         self.held_out_batches = self._batched(self.controls, finished, late)
-        self.repeated_batches = self._batched(self.controls, finished)
         self.cycles_batches = self._batched(
             self._on_cycles(drawn),
             self._on_cycles([*finished, *(job.name for job in self.chosen.values())]),

@@ -6,15 +6,10 @@ from skyproof.layout import Layout, RunPath
 class PaperLayout(Layout):
     """The paths of a reproduction's run folder."""
 
-    trainings = RunPath("trainings")  # all further trainings of the detectors
     held_out = RunPath("judges")  # held-out detectors and their scores
     looks = RunPath("looks")  # what camouflages look like
     features = RunPath("features.parquet")  # the detectors' features
     tables = RunPath("tables")  # the paper's tables, as Markdown and CSV
-
-    def training(self, number: int) -> Layout:
-        """The paths of a further training's detectors, camouflages and scores; 0 is the run."""
-        return Layout(self.trainings / str(number)) if number else self
 
     @property
     def weather(self) -> Layout:

@@ -16,8 +16,9 @@ from matplotlib.patches import Patch
 from skyproof.camouflage.name import CamouflageName
 from skyproof.files import inside
 from skyproof.pictures import read_pixels
-from skyproof.report.figures import BLUE, GREY, INK, ORANGE, as_files, figure_style, panels, rule
+from skyproof.report.figures import BLUE, GREY, INK, ORANGE, panels, rule
 from skyproof.reproduction.cells import Cell, Figure, TextTable, Topic, number, span, value
+from skyproof.reproduction.figures import as_files, figure_style
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.reproduction.stored import Strip, TextureLooks
 

@@ -16,7 +16,6 @@ from skyproof.reproduction.jobs import Jobs
 from skyproof.reproduction.layout import PaperLayout
 from skyproof.reproduction.preset import RENDERED, Preset, Rendered
 from skyproof.reproduction.steps import Steps
-from skyproof.seeds import next_seed
 
 _MOST_STEPS = 20_000
 
@@ -119,7 +118,7 @@ def reproduction_plan(
     trained = [name for name in preset.detectors if name not in preset.reference]
     splits: tuple[Rendered, ...] = (*(RENDERED if trained else ("test",)), "empty")
     steps = [make.ground(), make.fleets(), *map(make.scenes, splits), *map(make.render, splits)]
-    steps += [make.train(name, preset.seed) for name in trained]
+    steps += [make.train(name) for name in trained]
     checked = trained if preset.check_scenes else []
     if checked:
         steps.append(make.precheck(checked))
@@ -137,10 +136,6 @@ def reproduction_plan(
     if jobs.featured:
         scores.append(make.features(jobs.featured))
     steps += scores
-    for number in range(1, preset.trainings):
-        further = [*_training_steps(preset, jobs, layout, number, device)]
-        steps += further
-        scores += [step for step in further if step.kind == "score"]
     steps.append(make.report(scores, checked))
     asked = vars(preset.resources).items()
     return Plan(steps, preset.threads, {name: each for name, each in asked if each is not None})
@@ -173,25 +168,3 @@ def _score_steps(
         yield make.score(
             name, folders, make.detectors, layout.weather, prefix="weather-", split="weather"
         )
-
-
-def _training_steps(
-    preset: Preset, jobs: Jobs, layout: PaperLayout, number: int, device: str
-) -> Iterator[Step]:
-    """The steps of one more training, from detectors to scores.
-
-    All is done as in the run, from other seeds; random controls are the same for all trainings.
-    """
-    make = Steps(preset, layout, device, number)
-    steps = [make.train(name, next_seed(preset.seed, number)) for name in preset.detectors]
-    repeats = max([preset.repeats, *preset.texture_repeats.values()])
-    for job in jobs.repeated:
-        # Every repeat on every training has a seed of its own.
-        seed = next_seed(job.settings.seed, number * repeats)
-        settings = replace(job.settings, seed=seed)
-        steps.append(make.attack(replace(job, settings=settings)))
-    out = layout.training(number)
-    for name, folders in jobs.repeated_batches.items():
-        steps.append(make.score(name, folders, make.detectors, out))
-    for step in steps:
-        yield replace(step, name=f"training-{number}-{step.name}")

@@ -35,11 +35,10 @@ from skyproof.vehicles.settings import PaintVariety
 
 PRESETS = {
     name: Path(__file__).with_name(f"{name}.json")
-    for name in ("quick", "overnight", "paper", "reference", "trainings")
+    for name in ("quick", "overnight", "paper", "reference")
 }
-"""The paper's tables in small, with more repeats and in full, training of the shipped detectors,
-and the headline attacks on three trainings of each detector. The first two draw worlds at which
-nobody looked during development."""
+"""The paper's tables in small, with more repeats and in full, and training of the shipped
+detectors. The first two draw worlds at which nobody looked during development."""
 
 GSD_M = 0.125
 
@@ -169,8 +168,6 @@ class Preset:
         reference: detectors that are taken as they come with skyproof.
         best_of: draws of the best-of-N control; 0 for no chosen control.
         searches: random searches of each attack's control.
-        trainings: trainings of every detector, from different seeds. The attacks on all detectors
-            are repeated on each.
         blur_sigma_px: blur of the vehicles in pixels, or "paper" for the paper's 2.4; None for the
             blur of the ground.
     """
@@ -197,7 +194,6 @@ class Preset:
     reference: Annotated[tuple[Known, ...], Meta(max_length=3)] = ()
     best_of: Annotated[int, Meta(ge=0, le=100)] = 0
     searches: Annotated[int, Meta(ge=1, le=100)] = 1
-    trainings: Annotated[int, Meta(ge=1, le=10)] = 1
     cycles_headlines: _Textures = ()
     features: _Textures = ()
     weather: _Textures = ()
@@ -255,11 +251,6 @@ class Preset:
         for setting, names in (("detectors", self.detectors), ("reference", self.reference)):
             if len(set(names)) < len(names):
                 yield f"{setting} expects each detector once, got {', '.join(names)}."
-        if self.trainings > 1 and self.reference:
-            yield (
-                f"trainings {self.trainings} expects detectors that the run trains, all by one "
-                f"recipe, but {self.reference[0]} comes trained once; take it out of reference."
-            )
 
     @classmethod
     def parse(cls, values: Mapping[str, Any], place: str = "The preset") -> Preset:

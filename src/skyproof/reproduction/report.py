@@ -31,7 +31,6 @@ from skyproof.reproduction.tables import (
     shape_table,
     texture_table,
 )
-from skyproof.reproduction.trainings import trainings_part
 from skyproof.reproduction.transfer import transfer_part
 from skyproof.reproduction.trust import criteria_part, trust_part
 from skyproof.reproduction.variability import variability_part
@@ -86,7 +85,6 @@ def _topics(run: Reproduction) -> list[Topic]:
         trust_part(run, rows),
         criteria_part(run),
         transfer_part(run),
-        trainings_part(run),
         weather_part(run),
         features_part(run),
         practicality_part(run),

@@ -19,7 +19,6 @@ from skyproof.assessment.run import (
     precheck_images,
 )
 from skyproof.attacks.settings import AttackSettings
-from skyproof.camouflage.name import CamouflageName
 from skyproof.cli.attack import Attack
 from skyproof.cli.ground import Ground
 from skyproof.cli.precheck import Precheck
@@ -67,20 +66,19 @@ def _later(module: str, function: str, **arguments: Any) -> None:
 
 
 class Steps:
-    """Makes a preset's steps in a run folder, for a further training or for the run's own (0)."""
+    """Makes a preset's steps in a run folder."""
 
-    def __init__(self, preset: Preset, run: PaperLayout, device: str, training: int = 0) -> None:
+    def __init__(self, preset: Preset, run: PaperLayout, device: str) -> None:
         self._preset = preset
         self._sizes = preset.world
         self._run = run
-        self._own = run.training(training)
         self._device = device
         self._test: dict[str, Any] = {"backgrounds": run.backgrounds, "fleet": run.fleets / "test"}
 
     @property
     def detectors(self) -> tuple[Path, ...]:
         """The folders of the attacked detectors."""
-        return tuple(map(self._own.detector, self._preset.detectors))
+        return tuple(map(self._run.detector, self._preset.detectors))
 
     def ground(self) -> Step:
         """Draws ground."""
@@ -139,7 +137,7 @@ class Steps:
         extra = rendering.renderer == "cycles"
         return command_step("render", name, command, extra=extra, effort_s=effort_s)
 
-    def train(self, name: str, seed: int) -> Step:
+    def train(self, name: str) -> Step:
         """Trains one detector on the rendered images."""
         preset = self._preset
         changes = preset.training.get(name, {})  # type: ignore[call-overload]
@@ -147,10 +145,10 @@ class Steps:
             detector=name,
             data=self._run.dataset("train"),
             validation=self._run.dataset("validation"),
-            out=self._own.detector(name),
+            out=self._run.detector(name),
             size=preset.size,
             settings=changes,
-            seed=seed,
+            seed=self._preset.seed,
             device=self._device,
         )
         settings = replace(TRAINING_PRESETS[name, preset.size], **changes)
@@ -160,12 +158,12 @@ class Steps:
 
     def precheck(self, names: Sequence[str]) -> Step:
         """Prechecks the detectors of these names."""
-        preset, own = self._preset, self._own
+        preset, run = self._preset, self._run
         scenes = min(preset.check_scenes, self._sizes.test_images)
         command = Precheck(
             **self._test,
-            detectors=tuple(map(own.detector, names)),
-            scenes=self._run.scenes("test"),
+            detectors=tuple(map(run.detector, names)),
+            scenes=run.scenes("test"),
             scenes_count=scenes,
             draws=preset.draws,
             seed=preset.seed,
@@ -173,19 +171,19 @@ class Steps:
         )
         images = precheck_images(scenes, preset.draws)
         effort_s = self._effort_s(RENDER_S["torch"] + DETECT_S * len(names), images)
-        outputs = map(own.precheck, names)
+        outputs = map(run.precheck, names)
         return command_step("check", "detectors", command, *outputs, effort_s=effort_s)
 
     def attack(self, job: AttackJob) -> Step:
         """Optimises or chooses one camouflage."""
-        run, own, name = self._run, self._own, str(job.name)
+        run, name = self._run, str(job.name)
         command = Attack(
             names=(name,),
-            out=own.camouflages,
-            detectors=tuple(map(own.detector, job.detectors)),
+            out=run.camouflages,
+            detectors=tuple(map(run.detector, job.detectors)),
             backgrounds=run.backgrounds,
             fleet=run.fleets / "attack",
-            texture=own.camouflage(job.texture) if job.texture else None,
+            texture=run.camouflage(job.texture) if job.texture else None,
             image_px=self._preset.attack_image_px,
             conditions=job.conditions,
             places=self._sizes.test_places,
@@ -202,9 +200,9 @@ class Steps:
         """Draws random controls, or random shapes on the texture of a finished camouflage."""
         command = Attack(
             names=tuple(names),
-            out=self._own.camouflages,
+            out=self._run.camouflages,
             backgrounds=self._run.backgrounds,
-            texture=self._own.camouflage(texture) if texture else None,
+            texture=self._run.camouflage(texture) if texture else None,
             settings=AttackSettings(seed=self._preset.seed),
         )
         name = f"shapes-{texture}" if texture else "random"
@@ -239,7 +237,7 @@ class Steps:
             detectors=tuple(detectors),
             out=out.score(name),
             original=run.dataset(_rendered(split, rendering)),
-            camouflages=tuple(map(self._camouflage, camouflages)),
+            camouflages=tuple(map(self._run.camouflage, camouflages)),
             frames=tuple(f"ground without vehicles={e}@{self._sizes.gsd_m}" for e in grounds),
             frame_classes=("vehicle",) if empty else ("car", "minibus"),
             seed=self._preset.seed,
@@ -292,13 +290,8 @@ class Steps:
         )
 
     def _on_test_scenes(self, names: Sequence[str]) -> dict[str, Any]:
-        camouflages = tuple(map(self._own.camouflage, names))
+        camouflages = tuple(map(self._run.camouflage, names))
         return {"original": self._run.dataset("test"), "camouflages": camouflages, **self._test}
-
-    def _camouflage(self, folder: str) -> Path:
-        """A camouflage's folder; random controls are the same for every training."""
-        random = CamouflageName.parse(folder.partition("/")[0]).random
-        return (self._run if random else self._own).camouflage(folder)
 
     def _count(self, split: Rendered) -> int:
         counts = {

@@ -242,8 +242,8 @@ def _best_repeat(run: Reproduction, name: str) -> float | None:
     }
     if len(hidden) < 2:
         return None
-    easr = run.results.single_easr(max(hidden, key=lambda text: hidden[text]))
-    return None if easr is None else 100 * easr
+    easr = run.results.single_interval(max(hidden, key=lambda text: hidden[text]))
+    return None if easr is None else 100 * easr.estimate
 
 
 def _corrected_p(run: Reproduction, name: str) -> dict[str, float | None]:

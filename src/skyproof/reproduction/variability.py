@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.pictures import read_pixels
-from skyproof.report.figures import as_files, figure_style, panels
+from skyproof.report.figures import panels
 from skyproof.reproduction.agreement import percentile_interval
 from skyproof.reproduction.cells import (
     Figure,
@@ -24,6 +24,7 @@ from skyproof.reproduction.cells import (
     rate,
     value,
 )
+from skyproof.reproduction.figures import as_files, figure_style
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.reproduction.stored import PairLooks
 from skyproof.results.result import MAIN_MATCH

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from skyproof.camouflage.name import IN_WEATHER, CamouflageName
-from skyproof.report.figures import BLUE, GREY, ORANGE, as_files, figure_style, panels, rule
+from skyproof.report.figures import BLUE, GREY, ORANGE, panels, rule
 from skyproof.reproduction.cells import Figure, TextTable, Topic, interval_cells, rate, value
+from skyproof.reproduction.figures import as_files, figure_style
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.results.conditions import shared_groups
 from skyproof.results.outcomes import Outcome

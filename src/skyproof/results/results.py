@@ -298,11 +298,6 @@ class Results:
         change = difference_interval([own[1], random[0]], [own[0], random[1]])
         return RendererChange(before, after, change)
 
-    def single_easr(self, camouflage: str) -> float | None:
-        """Gives the estimate alone of `single_interval`."""
-        group = self._group(camouflage)
-        return None if group is None or math.isnan(group.rate) else group.rate
-
     def single_interval(self, camouflage: str) -> Interval | None:
         """Gives EASR of one single repeat, mean over detectors; None where unknown or undefined."""
         group = self._group(camouflage)

@@ -1,0 +1,144 @@
+"""A hardened detector beside its parent: what each attack hides from them, and clean scores."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from msgspec import Struct
+
+from skyproof.detectors.card import PARENT_FILE, Digest
+from skyproof.documents import read_document
+from skyproof.files import file_digest
+from skyproof.layout import Layout
+from skyproof.results.operating_points import EQUAL_ALARMS
+from skyproof.results.result import FROZEN
+from skyproof.results.results import RENDERER, Results
+from skyproof.results.statistics.intervals import Interval
+from skyproof.results.stored import Finite, Label
+from skyproof.words import listed, percent
+
+_REMEDY = "copy the whole folder again, or harden the detector again"
+
+_Limits = tuple[Finite | None, Finite | None, Finite | None]
+
+
+class _Rate(Struct, frozen=True):
+    """Shares of the vehicles found without camouflage, and of these hidden, with its limits."""
+
+    found: Finite
+    hidden: _Limits
+
+
+class Parent(Struct, frozen=True):
+    """What a hardened detector's folder keeps of its parent's assessment.
+
+    Rates are by attack and operating point, AP without camouflage is by set of images. `attacks`
+    were shown while it was hardened, and the digests are of its weights and the test scenes.
+    """
+
+    rates: dict[Label, dict[Label, _Rate]]
+    ap: dict[Label, _Limits]
+    attacks: list[Label]
+    weights_sha256: Digest
+    scenes_sha256: Digest
+
+
+@dataclass(frozen=True)
+class Beside:
+    """A hardened detector beside its parent, each pair as before and after; or only sentences.
+
+    At each operating point, `found` are shares of the vehicles without camouflage, and `hidden` the
+    rates of each attack. `ap` is that of each set of images.
+    """
+
+    sentences: Sequence[str]
+    points: Sequence[str] = ()
+    found: Sequence[tuple[float, float]] = ()
+    hidden: Mapping[str, Sequence[tuple[Interval, Interval]]] | None = None
+    ap: Mapping[str, tuple[Interval, Interval]] | None = None
+
+
+def parent_of(results: Results) -> Parent | None:
+    """Reads what the folder of a run's only detector keeps of its parent; None without one."""
+    if len(results.detectors) != 1:
+        return None
+    path = Layout(results.folder).detector(results.detectors[0]) / PARENT_FILE
+    return read_document(path, Parent, _REMEDY) if path.exists() else None
+
+
+def beside_parent(results: Results) -> Beside | None:
+    """Sets a hardened detector beside its parent; None without a parent or attacks on both."""
+    parent = parent_of(results)
+    rates, ap = known_rates(results)
+    if parent is None:
+        return None
+    if parent.scenes_sha256 != scenes_of(results):
+        told = "Its parent was assessed on other scenes, so their rates cannot be compared."
+        return Beside([f"{told} Give the imagery, labels and seed of that assessment."])
+    old, new = parent.rates, rates
+    attacks = [name for name in new if name in old]
+    every = [of_one[name] for of_one in (old, new) for name in attacks]
+    points = [point for point in (FROZEN, *EQUAL_ALARMS) if all(point in one for one in every)]
+    if not attacks or not points:
+        return None
+    hidden = {
+        name: [(_interval(old[name][p].hidden), _interval(new[name][p].hidden)) for p in points]
+        for name in attacks
+    }
+    found = [(old[attacks[0]][p].found, new[attacks[0]][p].found) for p in points]
+    shown = f"Hardening showed it {listed(parent.attacks)}; all other attacks were held out."
+    shared = [name for name in parent.ap if name in ap]
+    both = {name: (_interval(parent.ap[name]), _interval(ap[name])) for name in shared}
+    return Beside([_strongest(points, found, hidden), shown], points, found, hidden, both)
+
+
+def _strongest(
+    points: Sequence[str],
+    found: Sequence[tuple[float, float]],
+    hidden: Mapping[str, Sequence[tuple[Interval, Interval]]],
+) -> str:
+    """Says at equal false alarms, where they are known, what the strongest attacks hide."""
+    place = min(1, len(points) - 1)
+    where = "At its own threshold"
+    if place:
+        where = f"At {EQUAL_ALARMS[points[place]]} false alarms per km² of empty ground"
+    old, new = (
+        max((pairs[place][side].estimate, name) for name, pairs in hidden.items())
+        for side in (0, 1)
+    )
+    return (
+        f"{where} it finds {percent(found[place][1])} of the vehicles without camouflage, its "
+        f"parent {percent(found[place][0])}. Of these, the strongest attack hides "
+        f"{percent(new[0])} ({new[1]}), from its parent {percent(old[0])} ({old[1]})."
+    )
+
+
+def known_rates(results: Results) -> tuple[dict[str, dict[str, _Rate]], dict[str, _Limits]]:
+    """The rates of each attack at each operating point, and the AP of each set of images."""
+    rates: dict[str, dict[str, _Rate]] = {}
+    for row in results.quoted:
+        for point in (FROZEN, *EQUAL_ALARMS) if row.renderer == RENDERER else ():
+            one = results.at(row, point)
+            if one is not None and not math.isnan(one.found_before):
+                own = rates.setdefault(str(row.camouflage), {})
+                own[point] = _Rate(one.found_before, _limits(one.easr))
+    return rates, {one.dataset: _limits(one.ap_centre_1m) for one in results.baselines}
+
+
+def scenes_of(results: Results) -> str:
+    """Gives the digest of a run's test scenes; empty without any."""
+    path = Layout(results.folder).scenes("test")
+    return file_digest(path) if path.exists() else ""
+
+
+def _limits(interval: Interval) -> _Limits:
+    known = (interval.estimate, interval.low, interval.high)
+    estimate, low, high = (None if math.isnan(value) else value for value in known)
+    return estimate, low, high
+
+
+def _interval(limits: _Limits) -> Interval:
+    estimate, low, high = (math.nan if value is None else value for value in limits)
+    return Interval(estimate, low, high)
