@@ -107,7 +107,7 @@ def test_a_hardened_detector_stands_beside_its_parent(of_one, tmp_path, monkeypa
     (after / "scenes/test.jsonl").write_bytes((after / "scenes/test.jsonl").read_bytes() + b"\n")
     page = write_report(after).read_text()
     assert "Its parent was assessed on other scenes" in page
-    assert "each by an attack" not in page
+    assert "each by attacks" not in page
     (folder / PARENT_FILE).write_text("{}")
     with pytest.raises(StoredFileError, match="harden the detector again"):
         write_report(after)

@@ -26,13 +26,7 @@ from skyproof.results.rows_file import flat_row
 from skyproof.results.statistics.acceptance import Decision, Evidence, Requirement, decide
 from skyproof.results.statistics.planning import assume_from_pilot, chances_on_tiles, tiles_to_show
 from skyproof.scenes.scene import scenes_digest
-from skyproof.words import (
-    body_name,
-    detector_name,
-    interval,
-    listed,
-    percent,
-)
+from skyproof.words import body_name, detector_name, interval, listed, percent
 
 _REMEDY = "move it away, or report again with --accept and --reject"
 

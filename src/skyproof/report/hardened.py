@@ -104,14 +104,15 @@ def _strongest(
     where = "At its own threshold"
     if place:
         where = f"At {EQUAL_ALARMS[points[place]]} false alarms per km² of empty ground"
-    old, new = (
-        max((pairs[place][side].estimate, name) for name, pairs in hidden.items())
-        for side in (0, 1)
-    )
+    told = []
+    for side in (1, 0):
+        rates = {name: pairs[place][side].estimate for name, pairs in hidden.items()}
+        strongest = max(rates, key=lambda name: rates[name])
+        told.append(f"{percent(rates[strongest])} ({strongest})")
     return (
         f"{where} it finds {percent(found[place][1])} of the vehicles without camouflage, its "
         f"parent {percent(found[place][0])}. Of these, the strongest attack hides "
-        f"{percent(new[0])} ({new[1]}), from its parent {percent(old[0])} ({old[1]})."
+        f"{told[0]}, from its parent {told[1]}."
     )
 
 
@@ -119,12 +120,14 @@ def known_rates(results: Results) -> tuple[dict[str, dict[str, _Rate]], dict[str
     """The rates of each attack at each operating point, and the AP of each set of images."""
     rates: dict[str, dict[str, _Rate]] = {}
     for row in results.quoted:
-        for point in (FROZEN, *EQUAL_ALARMS) if row.renderer == RENDERER else ():
+        other = row.renderer != RENDERER or row.camouflage.kept_copy
+        for point in () if other else (FROZEN, *EQUAL_ALARMS):
             one = results.at(row, point)
             if one is not None and not math.isnan(one.found_before):
                 own = rates.setdefault(str(row.camouflage), {})
                 own[point] = _Rate(one.found_before, _limits(one.easr))
-    return rates, {one.dataset: _limits(one.ap_centre_1m) for one in results.baselines}
+    ap = {one.dataset: _limits(one.ap_centre_1m) for one in results.baselines if one.vehicles}
+    return rates, ap
 
 
 def scenes_of(results: Results) -> str:
