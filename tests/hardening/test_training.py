@@ -12,8 +12,10 @@ import torch
 from skyproof.attacks.world import World
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.datasets.dataset import Dataset
+from skyproof.detectors.blueprint import Blueprint
 from skyproof.detectors.card import DetectorCard
 from skyproof.detectors.detector import TrainableDetector
+from skyproof.detectors.imported import ImportedDetector
 from skyproof.detectors.loaded import load_detector
 from skyproof.detectors.settings import TrainingSettings
 from skyproof.errors import RunFolderError
@@ -128,3 +130,24 @@ def test_camouflages_climb_the_loss_that_the_detector_descends(
         return float(detector.loss(frames.image, boxes).mean())
 
     assert loss(climber) > loss(start) + 0.3
+
+
+def test_an_imported_detector_is_hardened_and_stays_imported(
+    rendered: RenderedWorld, tmp_path: Path
+) -> None:
+    architecture = "fasterrcnn_mobilenet_v3_large_fpn"
+    plan = Blueprint("torchvision", architecture, ["0", "1", "2"], [1, 2], 1.0, None, "x.pth", "0")
+    torch.manual_seed(0)
+    detector = ImportedDetector("mine", plan).eval()
+    own = {"threshold": 0.5, "gsd_m": 0.125, "size": "brought", "brought": plan}
+    detector.set_card(DetectorCard(name="mine", **own, trained_on="x.pth"))
+    before = detector.weights_sha256
+    settings = dataclasses.replace(SETTINGS, steps=2)
+    validation = images(rendered, "validation")
+    world = world_of(rendered)
+    card = harden(detector, world, None, validation, settings, tmp_path / "out", seed=3)
+    stored = load_detector(tmp_path / "out")
+    assert isinstance(stored, ImportedDetector)
+    assert stored.weights_sha256 == detector.weights_sha256 != before
+    assert (card.brought, card.trained_on) == (plan, "x.pth; hardened")
+    assert card.training["identity"]["parent_sha256"] == before
