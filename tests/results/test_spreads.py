@@ -17,8 +17,8 @@ from skyproof.results.statistics.repeats import (
 )
 
 TABLES = Path(__file__).parents[2] / "docs" / "results"
-_ATTACKED = ("quick/textures", "quick/curves")
-_MEASURED = (*_ATTACKED, "quick/judges")
+_ATTACKED = ("seed_0/textures", "seed_0/curves")
+_MEASURED = (*_ATTACKED, "seed_0/judges")
 # The mean range of ten normal values, in standard deviations.
 _RANGE_OF_TEN = 3.078
 

@@ -29,11 +29,11 @@ class RepeatKind:
 
 
 SEEDS = RepeatKind("seeds", 0.034, 0.046)
-"""Seeds of an attack (quick). The largest is that of attacked detectors. On held-out ones it is
+"""Seeds of an attack (seed 0). The largest is that of attacked detectors. On held-out ones it is
 0.12, so a rate there needs several seeds."""
 
 DRAWS = RepeatKind("draws", 0.09, 0.25, SEEDS)
-"""Draws of a random control, the most for detectors of photographs (quick, ranges of ten). A draw
+"""Draws of a random control, the most for detectors of photographs (seed 0, ranges of ten). A draw
 acts much alike under two renderers."""
 
 BESTS = RepeatKind("best draws", 0.045, 0.125, SEEDS)
