@@ -6,7 +6,7 @@ import shutil
 import pytest
 
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.card import read_card
+from skyproof.detectors.card import PARENT_FILE, read_card
 from skyproof.results.precheck import read_precheck
 from tests.cli.conftest import Skyproof, bytes_of
 
@@ -74,6 +74,7 @@ def test_what_cannot_be_checked_is_said_in_a_sentence(
 def test_another_threshold_is_frozen_in_a_copy(
     detector, finished, skyproof: Skyproof, tmp_path
 ) -> None:
+    (detector / PARENT_FILE).write_text("of a hardened detector")
     before = bytes_of(detector)
     frames = ["--frames", f"{finished / 'datasets/test'}@0.125", "--frame-classes", "vehicle"]
     labels = tmp_path / "labels"
@@ -88,5 +89,6 @@ def test_another_threshold_is_frozen_in_a_copy(
     assert card.validation_vehicles == vehicles
     digests = [read_card(each).weights_sha256 for each in (labels, detector)]
     assert digests[0] == digests[1]
+    assert (labels / PARENT_FILE).read_text() == "of a hardened detector"
     skyproof(*call).refused("exists already")
     assert bytes_of(detector) == before

@@ -322,7 +322,7 @@ def test_networks_whose_loss_knows_no_vehicles_say_so(file: str, change: dict[st
     assert not plan.trainable
     detector = ImportedDetector("mine", plan).eval()
     assert torch.isfinite(detector.loss(IMAGES, NOTHING)).all()
-    with pytest.raises(ConfigurationError, match="mine has turned boxes or anchors of 2020"):
+    with pytest.raises(ConfigurationError, match="mine finds turned boxes or is a YOLOv5 of 2020"):
         detector.loss(IMAGES, SEEN)
 
 
@@ -348,7 +348,7 @@ def test_loss_with_vehicles_is_torchvisions(architecture: str) -> None:
 
 
 def test_regions_learn_the_likeliest_vehicle_class() -> None:
-    """Of Faster R-CNN no loss is like the library's, which draws regions at random."""
+    """The library's loss of Faster R-CNN draws regions at random, so it cannot be compared."""
     plan = replace(PLAN, vehicle_classes=[1, 3])
     detector = livened(ImportedDetector("mine", plan))
     network = detector.network

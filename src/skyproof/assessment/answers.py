@@ -101,9 +101,9 @@ def say_expected(layout: Layout, suite: Suite) -> None:
         if expected is None or row.renderer != "torch" or not _is_reference(layout, row.detector):
             continue
         weaker = row.easr is None or row.easr < expected.low
-        place = {"detector": row.detector, "camouflage": row.camouflage, "weaker": weaker}
+        place = {"detector": row.detector, "camouflage": row.camouflage}
         rates = {"easr": row.easr, "expected": expected.easr, "at_least": expected.low}
-        compared.append(place | rates)
+        compared.append(place | rates | {"weaker": weaker})
         if weaker:
             say(
                 f"  WEAKER THAN EXPECTED: {row.camouflage} {hides(row.easr)} from "

@@ -85,8 +85,8 @@ class ImportedDetector(TrainableDetector):
         check_targets(images, targets)
         if any(map(len, targets)) and not self._trainable:
             raise ConfigurationError(
-                f"{self.name} has turned boxes or anchors of 2020, with which nothing is trained "
-                "here; train it where it came from."
+                f"{self.name} finds turned boxes or is a YOLOv5 of 2020, which skyproof cannot "
+                "train; train it where it came from."
             )
         ratio = self._ratio(images)
         with self._seeing(images) as scaled:
@@ -111,7 +111,7 @@ class ImportedDetector(TrainableDetector):
         )
 
     def _ratio(self, images: Tensor) -> Tensor:
-        """What to multiply the network's boxes by."""
+        """Factors from the network's pixels to those of `images`, for xyxy."""
         height, width = self.size_px(images)
         return torch.tensor([images.shape[-1] / width, images.shape[-2] / height]).repeat(2)
 

@@ -280,7 +280,7 @@ class FasterRcnnDetector(TorchvisionDetector):
 
 
 def own_answers(answers: dict[str, Tensor], index: int, *, vehicles: int) -> dict[str, Tensor]:
-    """One image's answers; with vehicles in it, one score an anchor: of the likeliest class."""
+    """An image's answers; if it shows vehicles, an anchor has the score of its likeliest class."""
     own = {key: value[index : index + 1] for key, value in answers.items()}
     if vehicles:
         own["cls_logits"] = own["cls_logits"].amax(dim=-1, keepdim=True)

@@ -57,8 +57,8 @@ def harden_run(request: Harden) -> None:
     card = read_card(layout.detector(names[0]))
     if not card.trainable:
         raise ConfigurationError(
-            f"{card.name} cannot be trained here, as detectors of train and most imported ones "
-            "can; add the images that the report names to its own training."
+            f"{card.name} cannot be trained here (skyproof trains its own detectors and most "
+            "imported ones); add the images that the report names to its own training."
         )
     folder = out.detector(names[0])
     device = choose_device("auto")
@@ -89,7 +89,7 @@ def harden_run(request: Harden) -> None:
 
 
 def _parent(layout: Layout, weights_sha256: str) -> Parent:
-    """What the folder of the hardened detector is to tell of the assessment before."""
+    """The results of the assessment, to be kept beside the hardened detector."""
     if not layout.results.exists():
         raise ConfigurationError(
             f"{layout.folder} is not finished; give its command of skyproof assess again first."

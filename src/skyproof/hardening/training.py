@@ -111,8 +111,8 @@ def harden(
         trained_on="; ".join(filter(None, [parent.trained_on, "hardened"]))[:10_000],
         threshold_from="",
     )
-    # A few small images would spoil the statistics of a whole training; and the head that some
-    # networks are used with is cut off from the others while they train.
+    # A few small images would spoil the batch norms' statistics, and in training mode YOLO's head
+    # without suppression passes no gradient to the backbone.
     detector.eval().requires_grad_(True)
     return fit(
         detector, validation, settings, folder, identity, lessons, card, on_step, {"worn": worn}

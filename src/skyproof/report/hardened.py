@@ -71,13 +71,12 @@ def parent_of(results: Results) -> Parent | None:
 def beside_parent(results: Results) -> Beside | None:
     """Sets a hardened detector beside its parent; None without a parent or attacks on both."""
     parent = parent_of(results)
-    rates, ap = known_rates(results)
     if parent is None:
         return None
     if parent.scenes_sha256 != scenes_of(results):
         told = "Its parent was assessed on other scenes, so their rates cannot be compared."
         return Beside([f"{told} Give the imagery, labels and seed of that assessment."])
-    old, new = parent.rates, rates
+    old, (new, ap) = parent.rates, known_rates(results)
     attacks = [name for name in new if name in old]
     every = [of_one[name] for of_one in (old, new) for name in attacks]
     points = [point for point in (FROZEN, *EQUAL_ALARMS) if all(point in one for one in every)]
