@@ -11,13 +11,15 @@ import torch
 from skyproof.assessment.assess import assess_steps
 from skyproof.assessment.command import Request
 from skyproof.assessment.judging import scored_names, still_open
-from skyproof.assessment.preparing import fleets
+from skyproof.assessment.preparing import fleets, frozen_on_labels
 from skyproof.assessment.run import RunEnded
 from skyproof.assessment.subject import Subject
 from skyproof.assessment.suite import DEMO_SUITE, read_suite
 from skyproof.assessment.suite import SUITE as SUITE_FILE
+from skyproof.cli.precheck import Precheck
+from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.answers import BlackBoxDetector
-from skyproof.detectors.card import REFERENCE_DETECTORS, reference_folder
+from skyproof.detectors.card import REFERENCE_DETECTORS, read_card, reference_folder
 from skyproof.files import file_digest
 from skyproof.layout import Layout
 from skyproof.results.rows_file import flat_row
@@ -84,6 +86,28 @@ def test_imagery_labels_and_a_detector_folder(folder):
     # The threshold is frozen on other tiles than those on which the detector is checked.
     checked = next(step for step in assess_steps(subject(folder)) if step.kind == "check")
     assert "your imagery=run/tiles/test@0.1" in checked.settings[-1]
+
+
+@pytest.mark.parametrize("count, frozen", [(19, False), (20, True)])
+def test_few_labels_leave_a_detector_folder_its_own_threshold(
+    tmp_path, monkeypatch, capsys, count, frozen
+):
+    monkeypatch.chdir(tmp_path)
+    tiles = Dataset.of_images(
+        [torch.zeros(3, 8, 8, dtype=torch.uint8)] * 2,
+        [torch.tensor([[1.0, 1.0, 4.0, 4.0]]).repeat(n, 1) for n in (count - 5, 5)],
+        gsd_m=0.1,
+    )
+    monkeypatch.setattr(Dataset, "open", lambda _: tiles)
+    chosen = []
+    monkeypatch.setattr(Precheck, "run", lambda _: chosen.append("labels"))
+    place = Path("retinanet")
+    frozen_on_labels(subject(place, names=("retinanet",)), "retinanet", place).work()
+    assert chosen == ["labels"] * frozen
+    if not frozen:
+        kept = read_card(RUN / "detectors" / "retinanet")
+        assert kept.threshold == read_card(place).threshold
+        assert "19 labelled vehicles on validation tiles" in capsys.readouterr().out
 
 
 def ground_with(folder, test, attack, drivable="test attack"):

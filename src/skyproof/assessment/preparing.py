@@ -24,11 +24,7 @@ from skyproof.detectors.loaded import copy_detector, load_detector
 from skyproof.files import finished_folder
 from skyproof.imagery.clearing.footprints import worn_paints
 from skyproof.imagery.clearing.vehicle_masks import VehicleFinder
-from skyproof.imagery.settings import (
-    LabelSettings,
-    TilingSettings,
-    tiling_for_images,
-)
+from skyproof.imagery.settings import LabelSettings, TilingSettings, tiling_for_images
 from skyproof.layout import Layout
 from skyproof.results.precheck import PRECHECK_FILE
 from skyproof.scenes.backgrounds import BackgroundSet
@@ -45,9 +41,9 @@ VEHICLE_CLASSES = ("vehicle",)
 # Train, validation, attack and test: roughly the shares of a suite's drawn tiles.
 _SHARES = (0.0, 0.25, 0.25, 0.5)
 
-_FEWEST_PAINTS = 20
-"""Labelled vehicles from which a fleet has their paints: the share of a colour that every fifth
-vehicle has is then known to 9 points (standard deviation)."""
+_FEWEST_LABELS = 20
+"""Labelled vehicles from which a fleet has their paints, and a detector folder another threshold: a
+share of a fifth, such as that of a colour, is then known to 9 points (standard deviation)."""
 
 _FEW = (
     "labels give fewer sunlit places with a heading than "
@@ -142,8 +138,8 @@ def copied(its: Subject, name: str, place: Path) -> Step:
 
 
 def frozen_on_labels(its: Subject, name: str, place: Path) -> Step:
-    """Copies a detector with its threshold frozen on the labels."""
-    out = its.layout.detector(name)
+    """Copies a detector with its threshold frozen on the labels, or its own if these are few."""
+    out, kept = its.layout.detector(name), copied(its, name, place)
     freeze = Precheck(
         (detector_folder(place),),
         frames=(f"{YOURS}={its.layout.tiles / 'validation'}@{its.gsd_m}",),
@@ -151,8 +147,20 @@ def frozen_on_labels(its: Subject, name: str, place: Path) -> Step:
         freeze=out,
         device=its.request.device,
     )
+
+    def work() -> None:
+        count = sum(map(len, Dataset.open(its.layout.tiles / "validation").boxes))
+        if count >= _FEWEST_LABELS:
+            freeze.run()
+            return
+        say(
+            f"  note: {counted(count, 'labelled vehicle')} on validation tiles cannot choose a "
+            f"threshold, and {_FEWEST_LABELS} can, so {name} keeps its own"
+        )
+        kept.work()
+
     settings = (its.sources.get(str(place)), its.gsd_m)
-    return Step("threshold", name, (out / "detector.json",), freeze.run, settings, effort_s=_LONG_S)
+    return Step("threshold", name, (out / "detector.json",), work, settings, effort_s=_LONG_S)
 
 
 def brought(its: Subject, name: str, place: Path | None, validation: Path) -> Step:
@@ -212,10 +220,10 @@ def fleets(its: Subject, layout: Layout, title: str = "fleets") -> Step:
         if of_place:
             tiles, cleared = map(BackgroundSet.open, (layout.tiles, layout.backgrounds))
             worn = worn_paints(tiles, cleared)
-            if len(worn) < _FEWEST_PAINTS:
+            if len(worn) < _FEWEST_LABELS:
                 say(
                     f"  note: {counted(len(worn), 'labelled vehicle')} show their paint, and "
-                    f"{_FEWEST_PAINTS} are enough, so vehicles have the usual paints"
+                    f"{_FEWEST_LABELS} are enough, so vehicles have the usual paints"
                 )
                 worn = None
         draw_fleets(layout.fleets, counts, drawn, its.seed, partial(sample_fleet, worn=worn))
