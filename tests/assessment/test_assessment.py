@@ -88,7 +88,7 @@ def test_imagery_labels_and_a_detector_folder(folder):
     assert "your imagery=run/tiles/test@0.1" in checked.settings[-1]
 
 
-@pytest.mark.parametrize("count, frozen", [(19, False), (20, True)])
+@pytest.mark.parametrize(("count", "frozen"), [(19, False), (20, True)])
 def test_few_labels_leave_a_detector_folder_its_own_threshold(
     tmp_path, monkeypatch, capsys, count, frozen
 ):

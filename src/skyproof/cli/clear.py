@@ -80,11 +80,10 @@ class Clear:
 
 
 def failed_precheck(folder: Path) -> bool:
-    """Whether a detector failed its precheck; one without a precheck did not."""
-    from skyproof.results.precheck import PRECHECK_FILE, findings, read_precheck, worst
+    """Whether vehicles escape a detector by its precheck; one without a precheck did not fail."""
+    from skyproof.results.precheck import PRECHECK_FILE, misses_vehicles, read_precheck
 
-    precheck = folder / PRECHECK_FILE
-    return precheck.is_file() and worst(findings(read_precheck(folder))).outcome == "failed"
+    return (folder / PRECHECK_FILE).is_file() and misses_vehicles(read_precheck(folder))
 
 
 def clear_tiles(

@@ -83,14 +83,12 @@ def limits(results: Results, every: Sequence[Result]) -> Limits:
         _attacked(results, every[0].camouflage) if every else [],
         any(name.variant.startswith(("on_", "without_")) for name in results.names),
         _recorded(results, every, lambda record: record.method == "paper"),
-        _recorded(results, every, _growing),
+        _recorded(
+            results, every, lambda r: r.convergence is not None and not r.convergence.converged
+        ),
         weak_attacks(results),
         [words.detector_name(name) for name, card in results.cards.items() if card.size == "slim"],
     )
-
-
-def _growing(record: AttackRecord) -> bool:
-    return record.convergence is not None and not record.convergence.converged
 
 
 def _recorded(
@@ -165,7 +163,7 @@ def readings(panels: Sequence[Panel]) -> list[str]:
             continue
         most, least = extremes
         told = "no clear difference; the intervals overlap."
-        if _apart(most, least):
+        if most.rate.low > least.rate.high:
             told = f"most hidden at {_told(most)}, least at {_told(least)}; the intervals do not "
             told += "overlap."
         sentences.append(f"{panel.title}: {told}")
@@ -179,10 +177,6 @@ def _extremes(panel: Panel) -> tuple[Bin, Bin] | None:
         return None
     least = min(known, key=lambda bar: bar.rate.estimate)
     return max(known, key=lambda bar: bar.rate.estimate), least
-
-
-def _apart(most: Bin, least: Bin) -> bool:
-    return most.rate.low > least.rate.high
 
 
 def _told(bar: Bin) -> str:

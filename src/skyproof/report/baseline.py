@@ -20,6 +20,7 @@ from skyproof.results.precheck import (
     Rate,
     findings,
     misfit_thresholds,
+    misses_vehicles,
     worst,
 )
 from skyproof.results.results import Results
@@ -125,7 +126,7 @@ def _removed(results: Results) -> str:
     # A finder is named by its folder, then by its weights in brackets.
     checker = Path(record.checked_by.name.partition(" (")[0]).name
     precheck = results.prechecks.get(checker)
-    if precheck is None or worst(findings(precheck)).outcome != "failed":
+    if precheck is None or not misses_vehicles(precheck):
         return removed
     return (
         f"{removed} {detector_name(checker)} searched for remaining vehicles, but it failed its "

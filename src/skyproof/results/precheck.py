@@ -8,7 +8,7 @@ import math
 import operator
 import re
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -274,6 +274,12 @@ def findings(record: PrecheckRecord) -> list[Finding]:
 def worst(found: Sequence[Finding]) -> Finding:
     """The finding that decides: of the worst outcome, and the farthest beyond its limit."""
     return max(found, key=lambda each: (_SEVERITY[each.outcome], each.beyond))
+
+
+def misses_vehicles(record: PrecheckRecord) -> bool:
+    """Whether a detector failed by more than controls, so that vehicles without one escape it."""
+    changes = [rate for rate in record.rates if rate.kind != "control"]
+    return worst(findings(replace(record, rates=changes))).outcome == "failed"
 
 
 def rate_outcome(rate: Rate) -> FindingOutcome:

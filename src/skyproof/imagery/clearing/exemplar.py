@@ -70,7 +70,7 @@ def fill_by_exemplar(image: Array, mask: Flags) -> Array:
     # Small holes come first: once filled, they belong to the large ones' rings, but are never
     # copied.
     for piece in sorted(_pieces(mask), key=lambda piece: int(piece.sum())):
-        rows, columns = _reach(piece)
+        rows, columns = _around(piece, _SEARCH_PX + _RING_PX + 1)
         window = _Window(filled[rows, columns], ~unknown[rows, columns], piece[rows, columns])
         result = _fill(window, ~mask[rows, columns])
         if result is not None:
@@ -104,10 +104,6 @@ def _pieces(mask: Flags) -> list[Flags]:
             if part.any():
                 pieces.append(part)
     return pieces
-
-
-def _reach(piece: Flags) -> tuple[slice, slice]:
-    return _around(piece, _SEARCH_PX + _RING_PX + 1)
 
 
 def _around(flags: Flags, margin_px: int) -> tuple[slice, slice]:

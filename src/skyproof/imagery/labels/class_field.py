@@ -56,7 +56,8 @@ def name_classes(
         ImageryError: several fields may be meant, the one that the wanted classes name is missing,
             or an object has several values in it.
     """
-    fields = [field for field in (records[0] if records else ()) if _is_filled(records, field)]
+    every = records[0] if records else ()
+    fields = [field for field in every if any(_given(record[field]) for record in records)]
     chosen = chosen_field(fields, wanted)
     if chosen is not None:
         names = _names(records, [chosen], path)
@@ -121,10 +122,6 @@ def _unclear(
 
 def _given(value: Any) -> bool:
     return isinstance(value, np.ndarray | list) or (value is not None and value != "")
-
-
-def _is_filled(records: Sequence[Mapping[str, Any]], field: str) -> bool:
-    return any(_given(record[field]) for record in records)
 
 
 def _is_telling_text(records: Sequence[Mapping[str, Any]], field: str) -> bool:
