@@ -8,6 +8,7 @@ score.
 from __future__ import annotations
 
 import inspect
+import re
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -21,7 +22,9 @@ from PIL import Image
 
 import skyproof as sp
 from skyproof.detectors.answers import BlackBoxDetector
-from skyproof.errors import DetectorAnswerError
+from skyproof.detectors.checkpoints import read_checkpoint
+from skyproof.detectors.import_checkpoint import Checkpoint, read_ultralytics
+from skyproof.errors import DetectorAnswerError, StoredFileError
 
 ROOT = Path(__file__).parents[2]
 RECIPES = sorted((ROOT / "examples" / "recipes").glob("*.py"))
@@ -358,6 +361,19 @@ def test_a_recipe_is_short_and_stands_in_the_docs(recipe: Path):
     assert recipe.stem not in STAND_INS[recipe.stem]()
     page = (ROOT / "docs" / "detectors.md").read_text(encoding="utf-8")
     assert f"(../examples/recipes/{recipe.name})" in page
+
+
+def test_refusals_of_checkpoints_name_recipes_that_exist(tmp_path: Path):
+    (tmp_path / "vehicles.onnx").write_bytes(b"other bytes")
+    with pytest.raises(StoredFileError) as refused:
+        read_checkpoint(tmp_path / "vehicles.onnx")
+    named = re.findall(r"examples/[\w/.]*\w", str(refused.value))
+    assert named == ["examples/recipes/onnx_file.py", "examples/recipes"]
+    network = tmp_path / "vehicles.pt"
+    torch.save({"weight": torch.zeros(2)}, network)
+    with pytest.raises(StoredFileError, match=r"; examples/recipes has such functions\.$"):
+        read_ultralytics(Checkpoint(network, "ultralytics", ["car"]), {}, {}, "")
+    assert all((ROOT / place).exists() for place in named)
 
 
 # The right words, and mistakes of a user.

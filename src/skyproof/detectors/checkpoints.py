@@ -72,9 +72,9 @@ def read_checkpoint(path: Path) -> Any:
     except Exception as error:
         # Damage makes unpicklers raise any exception, and advise to run the file.
         raise StoredFileError(
-            f"{path} is not a checkpoint that can be read: {_what_came(path)}; give a file as "
-            "torch.save or safetensors write it, with the weights in it. sp.assess tests any other "
-            "detector by its boxes alone, through a Python function that gives them."
+            f"{path} is not a checkpoint that can be read: {_what_came(path)}; give a file with "
+            "weights, as torch.save or safetensors write it. sp.assess tests any other detector "
+            "through a Python function that gives its boxes; examples/recipes has such functions."
         ) from error
 
 
@@ -213,7 +213,7 @@ def _what_came(path: Path) -> str:
     if path.suffix == ".safetensors":
         return "it is no safetensors file, or damaged"
     if path.suffix == ".onnx":
-        return "it is an ONNX file"
+        return "it is an ONNX file (see examples/recipes/onnx_file.py)"
     try:
         with path.open("rb") as file:
             begin = file.read(2)

@@ -232,8 +232,8 @@ def read_ultralytics(
     if origin not in (*_NETWORKS, *_ANCHOR_NETWORKS):
         raise StoredFileError(
             f"{path} holds {origin}, not a detection network of Ultralytics (YOLOv5, YOLOv8, "
-            "YOLO11 or later); give a checkpoint of such a one that was trained to find boxes. "
-            "sp.assess tests any other detector through a Python function that gives its boxes."
+            "YOLO11 or later); give one trained to find boxes. sp.assess tests any other detector "
+            "through a Python function that gives its boxes; examples/recipes has such functions."
         )
     classes = _class_names(path, vars(network).get("names"))
     missing = [name for name in checkpoint.vehicle_classes if name not in classes]
