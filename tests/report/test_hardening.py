@@ -55,6 +55,8 @@ def test_others_train_on_images_that_commands_render(run_folder):
     page = write_report(run_folder).read_text()
     assert "T-U hides most. These commands" in page
     assert "not that of the test" in page
+    assert "Ultralytics trains from data.yaml" in page
+    assert "What to expect" not in page
     given = commands(page)
     assert [words[1] for words in given] == ["vehicles", "render", "render"]
     for words in given:
@@ -75,7 +77,10 @@ def test_a_detector_that_can_be_trained_is_hardened_by_one_command(of_one):
     config = json.loads((folder / "config.json").read_text())
     suite = {"version": 6, "sha256": "0" * 64, "scored": []}
     (folder / "config.json").write_text(json.dumps({**config, "suite": suite}))
-    (given,) = commands(write_report(folder).read_text())
+    page = write_report(folder).read_text()
+    assert "What to expect" in page
+    assert "Ultralytics trains from data.yaml" not in page
+    (given,) = commands(page)
     command = tyro.cli(load_command(given[1]), args=given[2:], console_outputs=False)
     assert command.run_folder == Path(".")
 
