@@ -163,6 +163,8 @@ def test_a_run_stops_where_no_verdict_is_possible_any_more(tmp_path):
     place = tmp_path / "run/detectors/mine"
     shutil.copytree(reference_folder("retinanet"), place)
     record = json.loads((place / "precheck.json").read_text())
+    # Stripes hide half of the vehicles from it.
+    record["rates"] = [rate for rate in record["rates"] if rate["kind"] != "control"]
 
     def stop(easr, **changes):
         record["rates"][0] |= {"easr": easr, "easr_low": easr - 0.02, "easr_high": easr + 0.02}
@@ -346,12 +348,12 @@ def test_images_cover_the_same_ground_at_every_resolution(gsd_m, image_px, attac
     assert (its.image_px, its.attack_px) == (image_px, attack_px)
 
 
-def test_version_six_is_frozen():
+def test_version_seven_is_frozen():
     """Another suite is another version: numbers of one cannot be compared with the other's."""
-    assert SUITE.version == 6
+    assert SUITE.version == 7
     assert (
         file_digest(SUITE_FILE)
-        == "1f95a7674c1053b5949a2f565ba3a020c81cb76a6ceabbef1c36cb4c930e3463"
+        == "7f6268277a5886e511bc738081755b0f884ecc2254797620a59674a0e0d9ee86"
     )
 
 
@@ -359,4 +361,4 @@ def test_what_each_attack_reached_is_stored_with_the_suite():
     assert set(SUITE.expected) == set(REFERENCE_DETECTORS)
     for of_attack in SUITE.expected.values():
         assert tuple(of_attack) == SUITE.attacks
-        assert all(0 < one.low < one.easr < one.high <= 1 for one in of_attack.values())
+        assert all(0 < one.low < one.easr <= one.high <= 1 for one in of_attack.values())
