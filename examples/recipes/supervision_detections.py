@@ -18,7 +18,7 @@ def rf_detr(images):
     pictures = (images * 255).round().byte().permute(0, 2, 3, 1).cpu().numpy()
     area = (0, 0, max(TILE, width), max(TILE, height))
     padded = [Image.fromarray(each).crop(area) for each in pictures]
-    found = network.predict(padded, threshold=0.01)
+    found = [network.predict(each, threshold=0.01) for each in padded]
     kept = [each[(each.xyxy[:, :2] < (width, height)).all(1)] for each in found]
     return [{"boxes": one.xyxy, "scores": one.confidence, "labels": one.class_id} for one in kept]
 

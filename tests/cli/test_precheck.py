@@ -25,6 +25,16 @@ def world(finished):
     return [*ground, *scenes, "--device", "cpu"]
 
 
+def test_a_detector_of_the_package_is_not_prechecked_in_its_place(
+    world, tmp_path, monkeypatch, skyproof: Skyproof
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    skyproof("precheck", "retinanet", *world).refused(
+        "retinanet comes with skyproof", "give a detector folder of yours"
+    )
+    assert not (tmp_path / "retinanet").exists()
+
+
 def test_a_check_is_shown_stored_and_kept(detector, world, finished, skyproof: Skyproof) -> None:
     frames = ["--frames", f"{finished / 'datasets/validation'}@0.125", "--frame-classes", "vehicle"]
     answer = skyproof("precheck", detector, *world, *frames)

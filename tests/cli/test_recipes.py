@@ -178,14 +178,14 @@ def rfdetr(detections: Callable[..., Any] = Masked) -> dict[str, Any]:
         def __init__(self, pretrain_weights: str) -> None:
             assert pretrain_weights.endswith(".pth")
 
-        def predict(self, images: Any, threshold: float = 0.5) -> list[Any]:
-            assert isinstance(images, list)
+        def predict(self, images: Any, threshold: float = 0.5) -> Any:
+            """Answers one image without a list, as the library does."""
             found = []
-            for image in images:
+            for image in images if isinstance(images, list) else [images]:
                 assert image.size == (TILE, TILE)
                 boxes, scores, classes = seen(np.asarray(image), threshold)
                 found.append(detections(xyxy=boxes, confidence=scores, class_id=classes))
-            return found
+            return found if len(found) > 1 else found[0]
 
     return {"rfdetr": SimpleNamespace(RFDETRMedium=RFDETRMedium)}
 

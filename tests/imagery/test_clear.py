@@ -424,6 +424,8 @@ def test_the_sheet_shows_changed_tiles_before_and_after(tmp_path):
         assert picture.getpixel((50, 40 - 3)) == (240, 228, 66)
         assert picture.getpixel((SIZE_PX + 8 + 50, 40 - 3)) == GROUND
     text = (sheets / "index.html").read_text()
+    # The command that the page shows is one of the program's.
+    assert text.count("skyproof clear") == text.count("--reject") == 2
     assert "http" not in text
     assert "not checked by a detector" in text
     assert re.findall('value="(.*?)"( disabled)?', text) == [(name, "") for name in "acde"]

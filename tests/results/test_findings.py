@@ -115,3 +115,6 @@ def test_a_threshold_that_does_not_carry_over_is_named():
         "The frozen threshold of toy, 0.62, does not carry over to KIT: recall 47\u202f% at "
         "precision 98\u202f%; the best one there, 0.31, has 90\u202f% at 95\u202f%."
     ]
+    # Chance decides the recall of few vehicles.
+    assert misfit_thresholds([replace(bad, vehicles=49)]) == []
+    assert misfit_thresholds([replace(bad, vehicles=50)])

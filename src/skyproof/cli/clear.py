@@ -33,7 +33,7 @@ class Clear:
         reject: ids of bad tiles to take out of a cleared folder, as on its sheets.
         detector: detector folder; it finds vehicles that are not labelled.
         check_detector: detector folder that checks the result; the same detector by default, unless
-            it failed its precheck.
+            it failed its precheck by more than random controls.
         device: auto, cpu or cuda.
     """
 

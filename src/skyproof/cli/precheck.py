@@ -76,13 +76,17 @@ class Precheck:
             raise ConfigurationError(
                 "A precheck renders scenes: give --backgrounds and --fleet of the test split."
             )
-        from skyproof.detectors.card import read_card
+        from skyproof.detectors.card import detector_folder, read_card
         from skyproof.device import choose_device
         from skyproof.measure.baseline import read_frames
         from skyproof.measure.precheck import PrecheckScenes, precheck_lines
         from skyproof.scenes.backgrounds import BackgroundSet
         from skyproof.vehicles.fleet import Fleet
 
+        for folder in self.detectors:
+            if detector_folder(folder) != folder:
+                what = f"{folder} comes with skyproof, and a precheck is stored beside its detector"
+                raise ConfigurationError(f"{what}; give a detector folder of yours.")
         device = choose_device(self.device)
         backgrounds = BackgroundSet.open(self.backgrounds)
         fleet = Fleet.load(self.fleet)

@@ -111,7 +111,9 @@ class Vehicles:
         wrapped: dict[str, WrappedVehicle] = {}
         with progress_bar("vehicles") as update:
             for path, name, scale in how.of_meshes(meshes):
-                vehicle_id = f"{_body_type(name)}-{how.first_number + len(wrapped):04d}"
+                # Ids and names of files take this.
+                plain = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:100].strip("-")
+                vehicle_id = f"{plain or 'vehicle'}-{how.first_number + len(wrapped):04d}"
                 wrapped[vehicle_id] = wrap_mesh(
                     path, scale=scale, up=how.up, forward=how.forward, paintable=how.paintable
                 )
@@ -194,11 +196,6 @@ def _write_pictures(
         caption = f"{vehicle_id}   {_size(report)}   {fit}   {report['mesh']}"
         rows.append(turntable_row(wrapped[vehicle_id].mesh, fleet.batch([vehicle_id]), caption))
     Image.fromarray(np.concatenate(rows)).save(folder / "turntable.png")
-
-
-def _body_type(name: str) -> str:
-    """Returns a name that can stand in an id and in a file name, of at most 100 characters."""
-    return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:100].strip("-") or "vehicle"
 
 
 def _size(report: dict[str, Any]) -> str:

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Int
 from msgspec import Meta, Struct
 
-from skyproof.detectors.card import read_card
+from skyproof.detectors.card import LEAST_VEHICLES, read_card
 from skyproof.documents import read_document
 from skyproof.errors import StoredFileError
 from skyproof.files import new_file, write_json
@@ -296,7 +296,7 @@ def misfit_thresholds(baselines: Sequence[Baseline]) -> list[str]:
         f"{percent(check.precision.estimate)}; the best one there, {check.best.threshold:.2f}, has "
         f"{percent(check.best.recall)} at {percent(check.best.precision)}."
         for check in baselines
-        if check.best is not None and not check.carries_over
+        if check.best is not None and not check.carries_over and check.vehicles >= LEAST_VEHICLES
     ]
 
 
