@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from skyproof.imagery.clearing.vehicle_masks import VehicleFinder
 
 
-FAILED = "failed its precheck, so it cannot tell that no vehicle is left"
+FAILED = "failed its precheck, so it does not check that no vehicle is left"
 
 
 @dataclass(frozen=True)

@@ -148,7 +148,7 @@ def _next_steps(
     if failed:
         steps.append(
             f"Improve {listed(failed)} first: a detector that fails the precheck loses vehicles to "
-            "ordinary changes, so its attack figures say little."
+            "changes without optimisation, so its attack figures say little."
         )
     if unchecked:
         steps.append(
