@@ -155,7 +155,7 @@ def frozen_on_labels(its: Subject, name: str, place: Path) -> Step:
             return
         say(
             f"  note: {counted(count, 'labelled vehicle')} on validation tiles cannot choose a "
-            f"threshold, and {_FEWEST_LABELS} can, so {name} keeps its own"
+            f"threshold, which takes {_FEWEST_LABELS}, so {name} keeps its own"
         )
         kept.work()
 

@@ -33,7 +33,7 @@ class Clear:
         reject: ids of bad tiles to take out of a cleared folder, as on its sheets.
         detector: detector folder; it finds vehicles that are not labelled.
         check_detector: detector folder that checks the result; the same detector by default, unless
-            it failed its precheck by more than random controls.
+            it failed its precheck on more than random controls.
         device: auto, cpu or cuda.
     """
 
@@ -80,7 +80,7 @@ class Clear:
 
 
 def failed_precheck(folder: Path) -> bool:
-    """Whether vehicles escape a detector by its precheck; one without a precheck did not fail."""
+    """Whether a detector misses usual vehicles by its precheck; one without a precheck does not."""
     from skyproof.results.precheck import PRECHECK_FILE, misses_vehicles, read_precheck
 
     return (folder / PRECHECK_FILE).is_file() and misses_vehicles(read_precheck(folder))

@@ -111,7 +111,7 @@ class Vehicles:
         wrapped: dict[str, WrappedVehicle] = {}
         with progress_bar("vehicles") as update:
             for path, name, scale in how.of_meshes(meshes):
-                # Ids and names of files take this.
+                # It stands in ids and in names of files.
                 plain = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:100].strip("-")
                 vehicle_id = f"{plain or 'vehicle'}-{how.first_number + len(wrapped):04d}"
                 wrapped[vehicle_id] = wrap_mesh(

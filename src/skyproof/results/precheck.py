@@ -277,7 +277,7 @@ def worst(found: Sequence[Finding]) -> Finding:
 
 
 def misses_vehicles(record: PrecheckRecord) -> bool:
-    """Whether a detector failed by more than controls, so that vehicles without one escape it."""
+    """Whether a detector fails without random controls, too, so that it misses usual vehicles."""
     changes = [rate for rate in record.rates if rate.kind != "control"]
     return worst(findings(replace(record, rates=changes))).outcome == "failed"
 
