@@ -7,7 +7,13 @@ import pytest
 import torch
 
 from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
-from skyproof.imagery.clearing.footprints import CLEAR_COAT, SLOPES, sunlit, worn_paints
+from skyproof.imagery.clearing.footprints import (
+    CLEAR_COAT,
+    FILM,
+    SLOPES,
+    sunlit,
+    worn_paints,
+)
 from skyproof.scenes.background_index import BackgroundTile, save_tile
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.light import Light
@@ -40,21 +46,23 @@ def sets(folder, image, places, light=None):
     return backgrounds, backgrounds
 
 
-@pytest.mark.parametrize("paint", [(0.9, 0.9, 0.88), (0.5, 0.1, 0.1), (0.2, 0.22, 0.3)])
-def test_paint_is_told_from_panes_and_from_the_light_of_the_photograph(tmp_path, paint):
-    light = Light(white=(0.8, 0.7, 0.6), black=(0.02, 0.03, 0.05))
+@pytest.mark.parametrize("paint", [(0.9, 0.9, 0.88), (0.5, 0.1, 0.1), (0.1, 0.11, 0.2)])
+@pytest.mark.parametrize("panes", [(0.05, 0.05, 0.06), (0.4, 0.42, 0.45)])
+@pytest.mark.parametrize("sky", [(0.2, 0.25, 0.35), (1.0, 1.0, 1.0)])
+def test_paint_is_told_from_panes_and_from_the_light_of_the_photograph(tmp_path, paint, panes, sky):
+    light = Light(white=(0.8, 0.7, 0.6), black=(0.02, 0.03, 0.05), sky=sky)
     white, black = np.array(light.white), np.array(light.black)
 
     def shown(colour):
-        reflected = srgb_to_linear(torch.tensor(colour)).numpy() * SLOPES + CLEAR_COAT
-        value = black + reflected * (white - black)
+        reflected = srgb_to_linear(torch.tensor(colour)).numpy() * SLOPES
+        value = black + (reflected + FILM + CLEAR_COAT * np.array(sky)) * (white - black)
         return (255 * linear_to_srgb(torch.from_numpy(value)).numpy()).round()[:, None]
 
     image = np.full((3, SIDE_PX, SIDE_PX), 90, np.uint8)
     for place in PLACES:
         along, body = inside(place)
         image[:, body] = shown(paint)
-        image[:, body & (np.abs(along - 0.8) < 0.6)] = shown((0.05, 0.05, 0.06))
+        image[:, body & (np.abs(along - 0.8) < 0.6)] = shown(panes)
     tiles, cleared = sets(tmp_path, image, [*PLACES, RemovedVehicle(9.0, 9.0)], light)
     found = worn_paints(tiles, cleared)
     assert found.shape == (len(PLACES), 3), "a vehicle without a heading shows no paint"
