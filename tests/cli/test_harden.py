@@ -9,11 +9,14 @@ from pathlib import Path
 import pytest
 import tyro
 
+from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.card import PARENT_FILE
 from skyproof.detectors.loaded import load_detector
 from skyproof.files import write_json
-from skyproof.hardening import harden
+from skyproof.hardening import harden, images
 from skyproof.main import load_command
+from skyproof.scenes.backgrounds import BackgroundSet
+from skyproof.scenes.scene import read_scenes
 from tests.cli.conftest import Skyproof, bytes_of
 
 
@@ -99,12 +102,42 @@ def test_photographs_of_another_resolution_are_refused(
     assert not (tmp_path / "hard").exists()
 
 
-def test_what_cannot_be_trained_is_refused(assessed: Path, skyproof: Skyproof) -> None:
+def test_for_a_detector_that_is_trained_elsewhere_images_are_rendered(
+    assessed: Path, skyproof: Skyproof, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(images, "_PAINTED", 10)
+    monkeypatch.setattr(images, "_CAMOUFLAGED", 4)
+    monkeypatch.setattr(images, "_strongest", lambda results: ["T-U", "R-U_plain"])
     place = assessed / "detectors/retinanet/detector.json"
     # As of a callable, of which only the answers are known.
     write_json(place, {**json.loads(place.read_text()), "size": ""})
-    answer = skyproof("harden", assessed, "--out", assessed.parent / "hard")
-    answer.refused("retinanet cannot be trained here", "images that the report names")
+    before, out = bytes_of(assessed), assessed.parent / "hard"
+    answer = skyproof("harden", assessed, "--out", out)
+    assert answer.code == 0, answer.err
+    assert "retinanet cannot be trained here, so add these images" in answer.out
+    assert bytes_of(assessed) == before
+    made = {folder.name: Dataset.open(folder) for folder in (out / "datasets").iterdir()}
+    assert {name: len(each) for name, each in made.items()} == {
+        "T-U": 2,
+        "R-U_plain": 2,
+        "paints": 10,
+    }
+    for name, each in made.items():
+        assert (each.folder / "data.yaml").exists()
+        assert len([*(each.folder / "labels").glob("*.txt")]) == len(each)
+        worn = json.loads((each.folder / "annotations.json").read_text())["info"]
+        assert ("camouflage" in worn) == (name != "paints")
+    # The ground is not that of the test, and shows some images without vehicles.
+    tiles = {scene.background.tile for scene in read_scenes(out / "datasets/paints/scenes.jsonl")}
+    assert tiles <= {tile.id for tile in BackgroundSet.open(out / "backgrounds").tiles("attack")}
+    shutil.rmtree(out / "datasets/T-U")
+    finished = bytes_of(out / "datasets/paints")
+    assert skyproof("harden", assessed, "--out", out).code == 0
+    assert len(Dataset.open(out / "datasets/T-U")) == 2
+    assert bytes_of(out / "datasets/paints") == finished
+
+
+def test_a_folder_that_is_no_assessment_is_refused(assessed: Path, skyproof: Skyproof) -> None:
     skyproof("harden", assessed.parent / "none", "--out", assessed.parent / "hard").refused(
         "none", "give a run of skyproof assess"
     )

@@ -1,9 +1,7 @@
 """What the report says of hardening, and that its commands are ones that work."""
 
-import html
 import json
 import re
-import shlex
 import shutil
 from pathlib import Path
 
@@ -45,24 +43,13 @@ def run_folder(tmp_path_factory):
     return with_world(fabricate(tmp_path_factory.mktemp("run"), scenes=16))
 
 
-def commands(page):
-    """The words of the commands that the page gives."""
-    (block,) = re.findall(r"<pre>(skyproof (?:harden|vehicles).*?)</pre>", page, flags=re.S)
-    return [shlex.split(html.unescape(line)) for line in block.split("\n")]
+COMMAND = "<pre>skyproof harden . --out ../hardened</pre>"
 
 
-def test_others_train_on_images_that_commands_render(run_folder):
+def test_of_several_detectors_one_is_to_be_assessed_alone(run_folder):
     page = write_report(run_folder).read_text()
-    assert "T-U hides most. These commands" in page
-    assert "not that of the test" in page
-    assert "Ultralytics trains from data.yaml" in page
-    assert "What to expect" not in page
-    given = commands(page)
-    assert [words[1] for words in given] == ["vehicles", "render", "render"]
-    for words in given:
-        assert "test" not in " ".join(words)
-        tyro.cli(load_command(words[1]), args=words[2:], console_outputs=False)
-    assert given[1][given[1].index("--settings.size-px") + 1] == "192"
+    assert "T-U hides most. Assess one detector alone with skyproof assess. In its run" in page
+    assert COMMAND in page
 
 
 @pytest.fixture
@@ -72,16 +59,22 @@ def of_one(tmp_path, monkeypatch):
     return with_world(fabricate(tmp_path / "run", scenes=16))
 
 
-def test_a_detector_that_can_be_trained_is_hardened_by_one_command(of_one):
-    folder = of_one
-    config = json.loads((folder / "config.json").read_text())
+@pytest.mark.parametrize("size", ["slim", ""])
+def test_one_command_trains_a_detector_or_renders_for_its_own_training(of_one, size):
+    config = json.loads((of_one / "config.json").read_text())
     suite = {"version": 6, "sha256": "0" * 64, "scored": []}
-    (folder / "config.json").write_text(json.dumps({**config, "suite": suite}))
-    page = write_report(folder).read_text()
-    assert "What to expect" in page
-    assert "Ultralytics trains from data.yaml" not in page
-    (given,) = commands(page)
-    command = tyro.cli(load_command(given[1]), args=given[2:], console_outputs=False)
+    (of_one / "config.json").write_text(json.dumps({**config, "suite": suite}))
+    place = of_one / "detectors" / DETECTORS[0] / "detector.json"
+    write_json(place, {**json.loads(place.read_text()), "size": size})
+    page = write_report(of_one).read_text()
+    assert COMMAND in page
+    assert "In the run folder, this command" in page
+    assert ("trains the detector further" in page) == bool(size)
+    assert ("What to expect" in page) == bool(size)
+    assert ("renders images to add to its own training" in page) == (not size)
+    command = tyro.cli(
+        load_command("harden"), args=[".", "--out", "../hardened"], console_outputs=False
+    )
     assert command.run_folder == Path(".")
 
 

@@ -13,12 +13,14 @@ class Harden:
     """Trains the detector of an assessment further, so that it withstands attacks.
 
     It is shown vehicles in camouflages that are optimised against it as it learns, on the attack
-    tiles of the assessment with their labels, never on those of its test. A stopped run resumes
+    tiles of the assessment with their labels, never on those of its test. For a detector that
+    cannot be trained here, images are rendered to add to its own training. A stopped run resumes
     with the same command.
 
     Attributes:
         run_folder: finished run of `skyproof assess` with one detector.
-        out: run folder to write; `detectors` in it holds the hardened detector.
+        out: run folder to write; `detectors` in it holds the hardened detector, or `datasets` the
+            images.
         data: further dataset folders of labelled photographs, apart from those of the test.
         steps: number of optimiser steps.
         seed: seed of everything that is drawn.
@@ -31,7 +33,7 @@ class Harden:
     seed: Seed = 0
 
     def run(self) -> None:
-        """Does all steps that are not finished yet, and says how to assess the detector."""
+        """Does all steps that are not finished yet, and says what to do next."""
         from skyproof.hardening.harden import harden_run
 
         harden_run(self)

@@ -27,12 +27,14 @@ from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError
 from skyproof.files import write_json
 from skyproof.hardening.command import Harden
+from skyproof.hardening.images import render_images
 from skyproof.hardening.training import ATTACKS, harden
 from skyproof.imagery.settings import tiling_for_images
 from skyproof.layout import Layout
 from skyproof.report.hardened import Parent, known_rates, scenes_of
 from skyproof.results.results import Results
 from skyproof.scenes.backgrounds import BackgroundSet
+from skyproof.scenes.places import Places
 from skyproof.scenes.settings import SceneSettings
 from skyproof.seeds import next_seed
 
@@ -56,10 +58,10 @@ def harden_run(request: Harden) -> None:
         )
     card = read_card(layout.detector(names[0]))
     if not card.trainable:
-        raise ConfigurationError(
-            f"{card.name} cannot be trained here (skyproof trains its own detectors and most "
-            "imported ones); add the images that the report names to its own training."
-        )
+        _refuse_unfinished(layout)
+        backgrounds, places = _ground(request, layout, out, config, card.gsd_m)
+        render_images(layout, out, backgrounds, places, card, request.seed)
+        return
     folder = out.detector(names[0])
     device = choose_device("auto")
     (detector,) = load_ensemble([layout.detector(names[0])], device, card.gsd_m)
@@ -70,7 +72,9 @@ def harden_run(request: Harden) -> None:
         _IMAGES_PER_STEP,
         _LEARNING_RATE if card.parameters <= _FEW_PARAMETERS else _LEARNING_RATE / 5,
     )
-    world = _world(request, layout, out, config, card.gsd_m)
+    backgrounds, places = _ground(request, layout, out, config, card.gsd_m)
+    size_px = side_px(read_suite().attack_m, card.gsd_m)
+    world = World.open(backgrounds, out.fleets / "train", size_px=size_px, places=places)
     validation = _validation(layout, out, config, card.gsd_m)
     with progress_bar(f"harden {card.name}") as update:
         hardened = harden(
@@ -90,12 +94,16 @@ def harden_run(request: Harden) -> None:
 
 def _parent(layout: Layout, weights_sha256: str) -> Parent:
     """The results of the assessment, to be kept beside the hardened detector."""
+    _refuse_unfinished(layout)
+    results = Results.open(layout.folder)
+    return Parent(*known_rates(results), [*ATTACKS], weights_sha256, scenes_of(results))
+
+
+def _refuse_unfinished(layout: Layout) -> None:
     if not layout.results.exists():
         raise ConfigurationError(
             f"{layout.folder} is not finished; give its command of skyproof assess again first."
         )
-    results = Results.open(layout.folder)
-    return Parent(*known_rates(results), [*ATTACKS], weights_sha256, scenes_of(results))
 
 
 def _photographs(
@@ -112,25 +120,23 @@ def _photographs(
     return Dataset.joined(photographs) if photographs else None
 
 
-def _world(
+def _ground(
     request: Harden, layout: Layout, out: Layout, config: Mapping[str, Any], gsd_m: float
-) -> World:
-    """Vehicles in many paints on the attack tiles, or on drawn ground of another seed."""
-    imagery = config.get("imagery") != "procedural"
+) -> tuple[Path, Places]:
+    """The attack tiles, or drawn ground of another seed, and where vehicles stand there.
+
+    The vehicles of `out`, in many paints, are drawn, too.
+    """
     if not out.fleets.exists():
         Vehicles(out.fleets, counts=_VEHICLES, seed=request.seed).run()
-    if not imagery and not out.backgrounds.exists():
+    if config.get("imagery") != "procedural":
+        return layout.backgrounds, places_of(BackgroundSet.open(layout.backgrounds))
+    if not out.backgrounds.exists():
         tiling = tiling_for_images(_DRAWN_PX, gsd_m=gsd_m, imagery=False)
         # An assessment draws its ground from its own seed.
         seed = next_seed(request.seed, _OTHER_GROUND)
         Ground(out.backgrounds, tiles=_TILES, seed=seed, tiling=tiling).run()
-    backgrounds = (layout if imagery else out).backgrounds
-    return World.open(
-        backgrounds,
-        out.fleets / "train",
-        size_px=side_px(read_suite().attack_m, gsd_m),
-        places=places_of(BackgroundSet.open(backgrounds)) if imagery else "uniform",
-    )
+    return out.backgrounds, "uniform"
 
 
 def _labelled(config: Mapping[str, Any]) -> bool:

@@ -38,9 +38,9 @@ _ALIVE, _LIFE_STEPS = 4, 80
 # Camouflages that are kept, and the share of steps that show one, so that none is forgotten.
 _KEPT, _KEPT_SHARE = 12, 0.3
 _CLIMB = AttackSettings(learning_rate=0.1)
-_WEATHER = ("clear", "haze", "overcast", "exposure", "noise", "jpeg", "low_sun", "low_sun")
+WEATHER = ("clear", "haze", "overcast", "exposure", "noise", "jpeg", "low_sun", "low_sun")
 # Of images without optimised camouflage; and vehicles on an image as small as those of attacks.
-_EMPTY_SHARE, _MOST_VEHICLES = 0.2, 3
+EMPTY_SHARE, _MOST_VEHICLES = 0.2, 3
 
 
 def harden(
@@ -124,7 +124,7 @@ def _draw(
 ) -> list[Scene]:
     """Draws scenes in all weathers, an `empty` share of them without vehicles."""
     settings = replace(
-        world.scenes, vehicles_maximum=_MOST_VEHICLES, conditions=_WEATHER, empty_share=empty
+        world.scenes, vehicles_maximum=_MOST_VEHICLES, conditions=WEATHER, empty_share=empty
     )
     return replace(world, scenes=settings).draw(count, generator=generator)
 
@@ -141,7 +141,7 @@ def _plain_batches(
         count -= count // 2
     draw = generator_of(seed, "plain", step)
     with torch.no_grad():
-        frames = world.frames(None, _draw(world, count, draw, empty=_EMPTY_SHARE))
+        frames = world.frames(None, _draw(world, count, draw, empty=EMPTY_SHARE))
     return [*batches, (jitter(frames.image, settings.jitter, generator=draw), _in_sight(frames))]
 
 

@@ -1,7 +1,6 @@
 """Advice on the detectors, images to harden them, and limits of the numbers; never how to hide."""
 
 import math
-import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -111,47 +110,31 @@ def _attacked(results: Results, camouflage: CamouflageName) -> list[str]:
 
 @dataclass(frozen=True)
 class Hardening:
-    """How to train the weaknesses away: the attacks, and commands to give in the run folder.
+    """What there is to train away: the strongest attacks.
 
-    One command trains a detector further that is `trainable` here. For others, commands render
-    images to add to their training.
+    A detector that is `trainable` here is trained further by `skyproof harden`. For others it
+    renders images to add to their own training. It takes assessments of one detector alone.
     """
 
     attacks: Sequence[str]
     trainable: bool
-    commands: Sequence[str]
+    alone: bool
 
 
 def hardening(results: Results, every: Sequence[Result]) -> Hardening | None:
-    """Names the strongest attacks and the commands that help against them.
+    """Names the strongest attacks.
 
-    Images show the attack split, as those of the test would flatter the next test. None where no
-    attack surely hides anything, or the run folder lacks what is needed.
+    None where no attack surely hides anything, or the run folder lacks what hardening needs.
     """
     layout = Layout(results.folder)
-    known = [row for row in every if row.easr.low > 0 and _folder(results, row.camouflage)]
+    known = [row for row in every if row.easr.low > 0 and _known(results, row.camouflage)]
     ranked = sorted(known, key=lambda row: -row.easr.estimate)[:_STRONGEST]
     needed = (layout.backgrounds / "index.json", layout.fleets / "attack")
     if not ranked or not results.test_scenes or not all(place.exists() for place in needed):
         return None
-    attacks = [str(row.camouflage) for row in ranked]
-    cards = [results.cards[name] for name in results.detectors if name in results.cards]
-    if results.config.suite and len(cards) == 1 and cards[0].trainable:
-        return Hardening(attacks, True, ["skyproof harden . --out ../hardened"])
-    size_px = results.test_scenes[0].camera.size_px
-    scenes = f"--backgrounds backgrounds --split attack --settings.size-px {size_px} --labels yolo"
-    commands = [
-        "skyproof vehicles --counts 200 1 1 1 --seed 1 --out hardening/fleets",
-        f"skyproof render {scenes} --fleet hardening/fleets/train --count 800 --seed 2 "
-        "--out hardening/paints",
-    ]
-    for row in ranked:
-        name = shlex.quote(str(_folder(results, row.camouflage)))
-        commands.append(
-            f"skyproof render {scenes} --fleet fleets/attack --count 400 --seed 1 "
-            f"--camouflage camouflages/{name} --out hardening/{name}"
-        )
-    return Hardening(attacks, False, commands)
+    trainable = all(card.trainable for card in results.cards.values())
+    alone = bool(results.config.suite) and len(results.detectors) == 1
+    return Hardening([str(row.camouflage) for row in ranked], trainable, alone)
 
 
 def readings(panels: Sequence[Panel]) -> list[str]:
@@ -183,7 +166,6 @@ def _told(bar: Bin) -> str:
     return f"{bar.label} ({words.percent(bar.rate.estimate)})".replace("\n", " ")
 
 
-def _folder(results: Results, camouflage: CamouflageName) -> str | None:
-    """Gives the name of a camouflage's folder in the run, of the first of its repeats."""
-    names = (str(camouflage), str(camouflage.with_repeat(0)))
-    return next((name for name in names if name in results.records), None)
+def _known(results: Results, camouflage: CamouflageName) -> bool:
+    """Whether the run holds a camouflage or one of its repeats."""
+    return any(str(name) in results.records for name in (camouflage, camouflage.with_repeat(0)))
