@@ -187,6 +187,9 @@ def test_detectors_that_are_not_there_or_say_no_classes(tmp_path, skyproof: Skyp
     file = tmp_path / "best.pt"
     file.touch()
     skyproof("assess", file, "--out", out).refused("best.pt is a checkpoint", "--vehicle-classes")
+    onnx = tmp_path / "best.onnx"
+    onnx.write_bytes(b"")
+    skyproof("assess", onnx, "--out", out).refused("it is an ONNX file", "onnx_file.py")
     assert not out.exists()
     for name in ("my town", "mean"):
         call = ("assess", file, "--vehicle-classes", "car", "--out", tmp_path / name)

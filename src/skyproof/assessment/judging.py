@@ -26,7 +26,7 @@ from skyproof.results.precheck import PrecheckRecord, findings, read_precheck, w
 from skyproof.results.statistics.acceptance import USUAL_IN_SCENE, Requirement, fewest_tiles
 from skyproof.results.statistics.planning import tiles_to_show
 from skyproof.scenes.scene import read_scenes
-from skyproof.words import detector_name, percent
+from skyproof.words import counted, detector_name, percent
 
 
 def refuse_few_tiles(said: str, tiles: int, requirement: Requirement, scenes: int) -> None:
@@ -50,7 +50,7 @@ def enough_ground(its: Subject, requirement: Requirement) -> Step:
         drawn = read_scenes(scenes)
         tiles = len({scene.background.tile for scene in drawn})
         needed = fewest_tiles(requirement.reject, requirement.consumer_risk)
-        said = f"The {len(drawn)} scenes of {scenes} stand on {tiles} test tiles"
+        said = f"The {len(drawn)} scenes of {scenes} stand on {counted(tiles, 'test tile')}"
         refuse_few_tiles(said, tiles, requirement, len(drawn))
         say(f"Test tiles: {tiles}; no verdict is possible on fewer than {needed}.")
         write_json(out, {"test_tiles": tiles, "fewest": needed})

@@ -159,7 +159,7 @@ def _look_at_imagery(its: Subject, mistakes: list[SkyproofError]) -> tuple[int, 
                 sentences += [*_on_tiles(placed, cells), *merged_notes(placed.notes)]
     with _noted(mistakes):
         if request.requirement is not None and cells:
-            said = f"The imagery holds at most {test_tiles} test tiles"
+            said = f"The imagery holds at most {counted(test_tiles, 'test tile')}"
             refuse_few_tiles(said, test_tiles, request.requirement, its.suite.test_images)
     return test_tiles, sentences
 

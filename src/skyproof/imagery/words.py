@@ -109,10 +109,10 @@ def tiling_words(
     few = record.counts["test"]["tiles"]
     if 0 < few < _FEW_TILES:
         yield (
-            f"  {few} test tiles are too few for a useful interval: where what a tile's vehicles "
-            f"have in common decides, a success rate stays open by ±{100 / math.sqrt(few):.0f} "
-            "points; give more imagery, or make the tiles smaller (--tiling.size-px of skyproof "
-            "ground)."
+            f"  {counted(few, 'test tile')}: too few for a useful interval. Where what a tile's "
+            "vehicles have in common decides, a success rate stays open by "
+            f"±{100 / math.sqrt(few):.0f} points; give more imagery, or make the tiles smaller "
+            "(--tiling.size-px of skyproof ground)."
         )
     if record.empty:
         yield f"  {counted(record.empty, 'cell')} left out: more than 2 % of each is empty"

@@ -34,7 +34,7 @@ from skyproof.scenes.background_index import BackgroundTile, save_map, save_tile
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.sensor import Sensor
 from skyproof.scenes.splits import SPLITS, Split
-from skyproof.words import counted
+from skyproof.words import counted, listed
 
 GROUND_INDEX = "index.geojson"
 
@@ -145,11 +145,10 @@ def tile_imagery(
     splits, blocks_m = assign_splits(
         [cells[tile.id] for tile in tiles], settings.split_shares, generator=generator
     )
-    notes += [
-        f"there are not enough tiles, and none for {split}; give more imagery or a smaller size"
-        for split in settings.split_shares
-        if split not in splits.values()
-    ]
+    without = [split for split in settings.split_shares if split not in splits.values()]
+    if without:
+        told = f"there are not enough tiles, and none for {listed(without)}"
+        notes.append(f"{told}; give more imagery or a smaller size")
     tiles = _sorted_into_splits(folder, tiles, splits)
     if placed is not None:
         _write_datasets(folder, tiles, annotations, settings.gsd_m)
