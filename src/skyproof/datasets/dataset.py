@@ -28,7 +28,7 @@ from skyproof.datasets.coco import (
     read_annotations,
 )
 from skyproof.datasets.pictures import Boxes, Picture, PictureInMemory, Pixels
-from skyproof.errors import StoredFileError
+from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.scene import Scene, read_scenes
 
@@ -121,12 +121,19 @@ class Dataset:
 
     @classmethod
     def joined(cls, parts: Sequence[Dataset]) -> Dataset:
-        """Joins several sets of one resolution in their order."""
+        """Joins several sets in their order; ConfigurationError for different resolutions."""
+        first, *others = parts
+        for one in others:
+            if not math.isclose(one.gsd_m, first.gsd_m):
+                told = f"{one.folder} is of {one.gsd_m} m per pixel and {first.folder} of "
+                raise ConfigurationError(f"{told}{first.gsd_m}; resample one of them.")
+        if not others:
+            return first
         fields = ("pictures", "boxes", "ignore", "ids", "visible_fractions")
         together: dict[str, Any] = {
             name: [one for part in parts for one in getattr(part, name)] for name in fields
         }
-        return cls(gsd_m=parts[0].gsd_m, **together)
+        return cls(gsd_m=first.gsd_m, **together)
 
     def __len__(self) -> int:
         return len(self.pictures)

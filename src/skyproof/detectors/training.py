@@ -40,6 +40,7 @@ def train(
     *,
     generator: torch.Generator,
     on_step: Callable[[dict[str, Any]], None] | None = None,
+    further: bool = False,
 ) -> DetectorCard:
     """Trains `detector` in place; its best averaged weights end in it and in `folder`.
 
@@ -47,7 +48,8 @@ def train(
     checkpoint with the same order of images and the same augmentation; on a CPU with the same
     number of threads the result equals that of an uninterrupted training bit for bit.
 
-    The detector is fresh from `build_detector`, on the device to train on. Validation chooses the
+    The detector is fresh from `build_detector`, or trained and to be trained `further`, on the
+    device to train on. Validation chooses the
     best weights (centre AP, then F1) and freezes the threshold. The generator gives one number, the
     seed of order and augmentation (`training_batch`). `on_step` gets each row of `steps.jsonl`.
 
@@ -67,6 +69,8 @@ def train(
         "data_sha256": training.digest,
         "validation_sha256": validation.digest,
     }
+    if further:
+        identity["parent_sha256"] = detector.weights_sha256
     _check(training, validation)
 
     def lessons(steps: range) -> Iterator[Tensor]:

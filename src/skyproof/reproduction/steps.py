@@ -143,7 +143,7 @@ class Steps:
         changes = preset.training.get(name, {})  # type: ignore[call-overload]
         command = Train(
             detector=name,
-            data=self._run.dataset("train"),
+            data=(self._run.dataset("train"),),
             validation=self._run.dataset("validation"),
             out=self._run.detector(name),
             size=preset.size,
