@@ -165,7 +165,7 @@ def _next_steps(
         )
     if hardened:
         steps.append(
-            "Harden the detectors with the commands below, then assess them again with newly "
+            "Harden the detectors with the command below, then assess them again with newly "
             "optimised attacks."
         )
     elif every:
