@@ -102,39 +102,73 @@ def test_photographs_of_another_resolution_are_refused(
     assert not (tmp_path / "hard").exists()
 
 
-def test_for_a_detector_that_is_trained_elsewhere_images_are_rendered(
-    assessed: Path, skyproof: Skyproof, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def of_answers(assessed: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An assessment of a detector of which only the answers are known, as of a callable."""
     monkeypatch.setattr(images, "_PAINTED", 10)
     monkeypatch.setattr(images, "_CAMOUFLAGED", 4)
-    monkeypatch.setattr(images, "_strongest", lambda results: ["T-U", "R-U_plain"])
+    monkeypatch.setattr(harden, "strongest", lambda results: ["T-U", "R-U_plain"])
     place = assessed / "detectors/retinanet/detector.json"
-    # As of a callable, of which only the answers are known.
     write_json(place, {**json.loads(place.read_text()), "size": ""})
-    before, out = bytes_of(assessed), assessed.parent / "hard"
-    answer = skyproof("harden", assessed, "--out", out)
+    return assessed
+
+
+def test_for_a_detector_that_is_trained_elsewhere_images_are_rendered(
+    of_answers: Path, skyproof: Skyproof
+) -> None:
+    before, out = bytes_of(of_answers), of_answers.parent / "hard"
+    answer = skyproof("harden", of_answers, "--out", out)
     assert answer.code == 0, answer.err
-    assert "retinanet cannot be trained here, so add these images" in answer.out
-    assert bytes_of(assessed) == before
+    assert f"skyproof cannot train retinanet. Add the images of {out / 'datasets'}" in answer.out
+    assert bytes_of(of_answers) == before
     made = {folder.name: Dataset.open(folder) for folder in (out / "datasets").iterdir()}
-    assert {name: len(each) for name, each in made.items()} == {
-        "T-U": 2,
-        "R-U_plain": 2,
-        "paints": 10,
-    }
+    counts = {name: len(each) for name, each in made.items()}
+    assert counts == {"T-U": 2, "R-U_plain": 2, "paints": 10}
     for name, each in made.items():
         assert (each.folder / "data.yaml").exists()
         assert len([*(each.folder / "labels").glob("*.txt")]) == len(each)
         worn = json.loads((each.folder / "annotations.json").read_text())["info"]
         assert ("camouflage" in worn) == (name != "paints")
-    # The ground is not that of the test, and shows some images without vehicles.
+    # They can be put into one folder.
+    assert len({path.name for path in out.glob("datasets/*/images/*")}) == 14
+    # The ground is not that of the test.
     tiles = {scene.background.tile for scene in read_scenes(out / "datasets/paints/scenes.jsonl")}
     assert tiles <= {tile.id for tile in BackgroundSet.open(out / "backgrounds").tiles("attack")}
     shutil.rmtree(out / "datasets/T-U")
     finished = bytes_of(out / "datasets/paints")
-    assert skyproof("harden", assessed, "--out", out).code == 0
+    assert skyproof("harden", of_answers, "--out", out).code == 0
     assert len(Dataset.open(out / "datasets/T-U")) == 2
     assert bytes_of(out / "datasets/paints") == finished
+    # Images of another run are neither mixed nor taken for those of this one.
+    again = ("harden", of_answers, "--out", out)
+    skyproof(*again, "--seed", 1).refused("images of another assessment or seed", "another --out")
+    results = of_answers / "results.json"
+    results.write_bytes(results.read_bytes() + b"\n")
+    skyproof(*again).refused("images of another assessment or seed", "another --out")
+
+
+@pytest.mark.parametrize("option", [("--steps", 3), ("--data", "nowhere")])
+def test_options_that_render_nothing_are_refused(
+    of_answers: Path, skyproof: Skyproof, option: tuple[str, object]
+) -> None:
+    out = of_answers.parent / "hard"
+    skyproof("harden", of_answers, "--out", out, *option).refused("leave out --data and --steps")
+    assert not out.exists()
+    skyproof("harden", of_answers, "--out", of_answers).refused("--out expects another folder")
+    out.mkdir()
+    (out / "other").touch()
+    skyproof("harden", of_answers, "--out", out).refused(str(out), "--out")
+
+
+def test_where_nothing_surely_hides_there_is_nothing_to_render(
+    assessed: Path, skyproof: Skyproof
+) -> None:
+    place = assessed / "detectors/retinanet/detector.json"
+    write_json(place, {**json.loads(place.read_text()), "size": ""})
+    shutil.rmtree(assessed / "camouflages")
+    answer = skyproof("harden", assessed, "--out", assessed.parent / "hard")
+    answer.refused("surely hides", "nothing to harden against")
+    assert not (assessed.parent / "hard").exists()
 
 
 def test_a_folder_that_is_no_assessment_is_refused(assessed: Path, skyproof: Skyproof) -> None:

@@ -1,42 +1,36 @@
 """Which camouflages are rendered for a detector that is trained elsewhere."""
 
-from types import SimpleNamespace
+import shutil
 
 import pytest
 
-from skyproof.camouflage.name import CamouflageName
-from skyproof.hardening.images import _strongest
-from skyproof.results.statistics.intervals import Interval
+from skyproof.errors import ConfigurationError
+from skyproof.hardening.images import strongest
+from skyproof.results.results import Results
+from tests.report.fabricate import DETECTORS, HIDES, fabricate
+from tests.report.test_hardening import with_world
 
 
-def results(rates, folders=None):
-    """Rows of camouflages with their rates, by the renderer."""
-    rows = [
-        SimpleNamespace(
-            camouflage=CamouflageName.read(name),
-            renderer="torch",
-            easr=Interval(rate, rate - 0.1, rate + 0.1),
-        )
-        for name, rate in rates.items()
-    ]
-    return SimpleNamespace(rows=rows, records=dict.fromkeys(folders or rates))
+@pytest.fixture
+def run_folder(tmp_path, monkeypatch):
+    """A fabricated run of a single detector with its world."""
+    monkeypatch.setattr("tests.report.fabricate.DETECTORS", DETECTORS[:1])
+    more = {"T-U_asked1500": 0.95, "T-Ma-0": 0.6, "T-Ma-1": 0.6, "S-O@0.2": 0.4}
+    more |= {"R-U_pattern": 0.6, "R-U_plain": 0.3}
+    for name, rate in more.items():
+        monkeypatch.setitem(HIDES, name, rate)
+    folder = with_world(fabricate(tmp_path / "run", scenes=16))
+    for name in more:
+        shutil.copytree(folder / "camouflages/T-U", folder / "camouflages" / name)
+    return folder
 
 
-@pytest.mark.parametrize(
-    ("rates", "wanted"),
-    [
-        # Two copies of one attack count once.
-        ({"T-U": 0.9, "T-U_asked": 0.95, "T-Ma": 0.5}, ["T-U_asked", "T-Ma"]),
-        ({"R-U_pattern": 0.4, "R-U": 0.6, "T-U": 0.5}, ["T-U", "R-U"]),
-        # The attack's own texture is no control.
-        ({"R-C-PixFc-seq@0.2": 0.9, "C-PixFc-seq@0.2": 0.8}, ["C-PixFc-seq@0.2"]),
-        ({"T-U": 0.05, "R-U": -0.1}, []),
-    ],
-)
-def test_the_strongest_attacks_and_the_strongest_control_are_taken(rates, wanted):
-    assert _strongest(results(rates)) == wanted
+def test_two_kinds_of_attacks_and_the_strongest_control_are_taken_by_their_folders(run_folder):
+    assert strongest(Results.open(run_folder)) == ["T-U", "T-Ma-0", "R-U_pattern"]
 
 
-def test_of_repeats_the_first_is_taken_and_what_has_no_folder_is_left_out():
-    found = _strongest(results({"T-U": 0.9, "T-Ma": 0.8}, folders=["T-U-0", "T-U-1"]))
-    assert found == ["T-U-0"]
+def test_where_nothing_surely_hides_that_is_said(tmp_path, monkeypatch):
+    monkeypatch.setitem(HIDES, "T-U", 0.0)
+    folder = with_world(fabricate(tmp_path / "run", scenes=16))
+    with pytest.raises(ConfigurationError, match=r"No attack in .* surely hides anything"):
+        strongest(Results.open(folder))

@@ -337,8 +337,8 @@ def test_few_small_images_give_a_tile_for_every_split(tmp_path):
 def test_splits_without_a_tile_are_named_in_one_note(tmp_path):
     write_image(tmp_path / "one.tif", noise(70, 70), crs=UTM[0], transform=UTM[1])
     _, record = tile([tmp_path / "one.tif"], tmp_path / "set", gsd_m=0.25)
-    (note,) = [note for note in record.notes if "not enough tiles" in note]
-    assert "none for validation, attack and test; give more" in note
+    (note,) = [note for note in record.notes if "too few tiles" in note]
+    assert "too few tiles for validation, attack and test; give more" in note
 
 
 def test_at_27_cm_a_tile_need_not_be_larger_than_a_scene(tmp_path):

@@ -1,4 +1,4 @@
-"""What the report says of hardening, and that its commands are ones that work."""
+"""What the report says of hardening, and that its command is one that works."""
 
 import json
 import re
@@ -48,7 +48,7 @@ COMMAND = "<pre>skyproof harden . --out ../hardened</pre>"
 
 def test_of_several_detectors_one_is_to_be_assessed_alone(run_folder):
     page = write_report(run_folder).read_text()
-    assert "T-U hides most. Assess one detector alone with skyproof assess. In its run" in page
+    assert "T-U hides most. First assess one detector alone with skyproof assess" in page
     assert COMMAND in page
 
 
@@ -68,10 +68,10 @@ def test_one_command_trains_a_detector_or_renders_for_its_own_training(of_one, s
     write_json(place, {**json.loads(place.read_text()), "size": size})
     page = write_report(of_one).read_text()
     assert COMMAND in page
-    assert "In the run folder, this command" in page
-    assert ("trains the detector further" in page) == bool(size)
+    assert "Give this command in the run folder" in page
+    assert ("It trains the detector further" in page) == bool(size)
     assert ("What to expect" in page) == bool(size)
-    assert ("renders images to add to its own training" in page) == (not size)
+    assert ("It renders images to add to the training" in page) == (not size)
     command = tyro.cli(
         load_command("harden"), args=[".", "--out", "../hardened"], console_outputs=False
     )

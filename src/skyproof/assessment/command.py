@@ -168,8 +168,7 @@ class Request:
                 f"{place} is a checkpoint file, which is assessed alone; make a detector folder of "
                 "it first (skyproof import), and give that beside the others."
             )
-        # Of what is no checkpoint, no classes are asked: reading it says what it is.
-        elif not self.vehicle_classes and place.suffix not in (".onnx", ".dlpk"):
+        elif not self.vehicle_classes and place.suffix.lower() not in (".onnx", ".dlpk"):
             raise ConfigurationError(
                 f"{place} is a checkpoint file, whose classes may be anything; say with "
                 "--vehicle-classes which of them are vehicles."

@@ -121,13 +121,12 @@ class Dataset:
 
     @classmethod
     def joined(cls, parts: Sequence[Dataset]) -> Dataset:
-        """Joins several sets in their order; ConfigurationError for different resolutions."""
-        first, *others = parts
-        for one in others:
-            if not math.isclose(one.gsd_m, first.gsd_m):
-                told = f"{one.folder} is of {one.gsd_m} m per pixel and {first.folder} of "
-                raise ConfigurationError(f"{told}{first.gsd_m}; resample one of them.")
-        if not others:
+        """Joins sets of one resolution in their order; ConfigurationError for several or none."""
+        first = next(iter(parts), None)
+        if first is None or not all(math.isclose(one.gsd_m, first.gsd_m) for one in parts):
+            given = ", ".join(f"{one.folder} of {one.gsd_m} m" for one in parts) or "none"
+            raise ConfigurationError(f"expected datasets of one resolution, got {given}.")
+        if len(parts) == 1:
             return first
         fields = ("pictures", "boxes", "ignore", "ids", "visible_fractions")
         together: dict[str, Any] = {

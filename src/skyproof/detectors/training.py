@@ -40,7 +40,8 @@ def train(
     *,
     generator: torch.Generator,
     on_step: Callable[[dict[str, Any]], None] | None = None,
-    further: bool = False,
+    parent: DetectorCard | None = None,
+    trained_on: str = "",
 ) -> DetectorCard:
     """Trains `detector` in place; its best averaged weights end in it and in `folder`.
 
@@ -48,8 +49,8 @@ def train(
     checkpoint with the same order of images and the same augmentation; on a CPU with the same
     number of threads the result equals that of an uninterrupted training bit for bit.
 
-    The detector is fresh from `build_detector`, or trained and to be trained `further`, on the
-    device to train on. Validation chooses the
+    The detector is on the device to train on: new from `build_detector`, or trained before as the
+    card of its `parent` says. `trained_on` names the images. Validation chooses the
     best weights (centre AP, then F1) and freezes the threshold. The generator gives one number, the
     seed of order and augmentation (`training_batch`). `on_step` gets each row of `steps.jsonl`.
 
@@ -69,7 +70,7 @@ def train(
         "data_sha256": training.digest,
         "validation_sha256": validation.digest,
     }
-    if further:
+    if parent is not None:
         identity["parent_sha256"] = detector.weights_sha256
     _check(training, validation)
 
@@ -77,7 +78,7 @@ def train(
         for batch in made_ahead(partial(training_batch, training, settings, seed), steps):
             yield add_gradients(detector, [batch])
 
-    card = _card(detector, identity, training)
+    card = replace(_card(detector, identity, training), trained_on=trained_on or training.origin)
     return fit(detector.train(), validation, settings, folder, identity, lessons, card, on_step)
 
 
@@ -280,5 +281,4 @@ def _card(detector: TrainableDetector, identity: dict[str, Any], training: Datas
             "data_sha256": identity["data_sha256"],
             "validation_sha256": identity["validation_sha256"],
         },
-        trained_on=training.origin,
     )

@@ -14,13 +14,13 @@ class Harden:
 
     It is shown vehicles in camouflages that are optimised against it as it learns, on the attack
     tiles of the assessment with their labels, never on those of its test. For a detector that
-    cannot be trained here, images are rendered to add to its own training. A stopped run resumes
-    with the same command.
+    cannot be trained here, it renders images to add to the detector's own training. A stopped run
+    resumes with the same command.
 
     Attributes:
         run_folder: finished run of `skyproof assess` with one detector.
-        out: run folder to write; `detectors` in it holds the hardened detector, or `datasets` the
-            images.
+        out: run folder to write: the hardened detector in its `detectors`, or images in its
+            `datasets`.
         data: further dataset folders of labelled photographs, apart from those of the test.
         steps: number of optimiser steps.
         seed: seed of everything that is drawn.

@@ -27,7 +27,7 @@ from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError
 from skyproof.files import write_json
 from skyproof.hardening.command import Harden
-from skyproof.hardening.images import render_images
+from skyproof.hardening.images import refuse_other_images, render_images, strongest
 from skyproof.hardening.training import ATTACKS, harden
 from skyproof.imagery.settings import tiling_for_images
 from skyproof.layout import Layout
@@ -59,8 +59,9 @@ def harden_run(request: Harden) -> None:
     card = read_card(layout.detector(names[0]))
     if not card.trainable:
         _refuse_unfinished(layout)
-        backgrounds, places = _ground(request, layout, out, config, card.gsd_m)
-        render_images(layout, out, backgrounds, places, card, request.seed)
+        names = strongest(Results.open(layout.folder))
+        refuse_other_images(request, card, names)
+        render_images(request, card, names, *_ground(request, layout, out, config, card.gsd_m))
         return
     folder = out.detector(names[0])
     device = choose_device("auto")
@@ -125,7 +126,7 @@ def _ground(
 ) -> tuple[Path, Places]:
     """The attack tiles, or drawn ground of another seed, and where vehicles stand there.
 
-    The vehicles of `out`, in many paints, are drawn, too.
+    Also draws the fleet of `out`, in many paints, if it is missing.
     """
     if not out.fleets.exists():
         Vehicles(out.fleets, counts=_VEHICLES, seed=request.seed).run()

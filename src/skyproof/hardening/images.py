@@ -1,80 +1,125 @@
 """Images to harden a detector that is trained elsewhere."""
 
 from pathlib import Path
+from typing import Any
 
 from skyproof.assessment.suite import read_suite, side_px
-from skyproof.camouflage.name import CamouflageName
-from skyproof.cli.render import Render
-from skyproof.console import say
+from skyproof.camouflage.folder import load_camouflage
+from skyproof.cli.render import sampled_scenes
+from skyproof.console import progress_bar, say
+from skyproof.cycles.renderer import open_renderer
+from skyproof.cycles.settings import Rendering
 from skyproof.detectors.card import DetectorCard
+from skyproof.device import choose_device
+from skyproof.documents import read_document
+from skyproof.errors import ConfigurationError
+from skyproof.files import file_digest, refuse_existing, write_json
+from skyproof.hardening.command import Harden
 from skyproof.hardening.training import EMPTY_SHARE, WEATHER
 from skyproof.layout import Layout
+from skyproof.loop import refuse_other
+from skyproof.render.dataset import render_dataset
+from skyproof.report.advice import hardening
+from skyproof.results.result import MAIN_MATCH
 from skyproof.results.results import RENDERER, Results
+from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.places import Places
 from skyproof.scenes.settings import SceneSettings
+from skyproof.vehicles.fleet import Fleet
 
 _PAINTED, _CAMOUFLAGED = 400, 800
-_ATTACKS = 2
+
+
+def strongest(results: Results) -> list[str]:
+    """Gives the folders of at most two attacks, as the report names them, and of one control.
+
+    ConfigurationError where no attack surely hides anything.
+    """
+    found = hardening(results, results.quoted)
+    if found is None:
+        raise ConfigurationError(
+            f"No attack in {results.folder} surely hides anything, or its scenes and camouflages "
+            "are gone, so there is nothing to harden against; copy the whole folder again."
+        )
+    controls = {
+        str(row.camouflage): row.easr.estimate
+        for row in results.rows
+        if row.camouflage.random and row.match == MAIN_MATCH and row.renderer == RENDERER
+        # A random shape on an attack's own texture is no control of that texture.
+        if row.easr.low > 0 and row.camouflage.order != "seq"
+        if str(row.camouflage) in results.records
+    }
+    names = [(str(name), str(name.with_repeat(0))) for name in found.attacks]
+    attacks = [next(name for name in both if name in results.records) for both in names]
+    return attacks + sorted(controls, key=lambda name: -controls[name])[:1]
 
 
 def render_images(
-    layout: Layout, out: Layout, backgrounds: Path, places: Places, card: DetectorCard, seed: int
+    request: Harden, card: DetectorCard, names: list[str], backgrounds: Path, places: Places
 ) -> None:
-    """Renders vehicles in many paints and in the camouflages of an assessment that hide most.
+    """Renders vehicles in many paints and in the named camouflages of an assessment.
 
-    These are two attacks and one control. The shares are those of `harden`, where a quarter of the
-    images are labelled photographs. Finished folders are left as they are.
+    The shares are those of `harden`, where a quarter of the images are labelled photographs.
+    Finished folders are left as they are.
     """
-    names = _strongest(Results.open(layout.folder))
-    images: dict[str, tuple[Path | None, int, float]] = {
-        name: (layout.camouflages / name, _CAMOUFLAGED // len(names), 0.0) for name in names
-    }
-    images["paints"] = (None, _PAINTED, EMPTY_SHARE)
-    for row, (name, (camouflage, count, empty)) in enumerate(images.items()):
-        folder = out.dataset(name)
-        if folder.exists():
-            continue
-        Render(
-            backgrounds=backgrounds,
-            fleet=out.fleets / "train",
-            out=folder,
-            split="attack",
-            count=count,
-            settings=SceneSettings(
+    layout, out = Layout(request.run_folder), Layout(request.out)
+    device = choose_device("auto")
+    ground, fleet = BackgroundSet.open(backgrounds), Fleet.load(out.fleets / "train")
+    images = dict.fromkeys(names, (_CAMOUFLAGED // len(names), 0.0))
+    images["paints"] = (_PAINTED, EMPTY_SHARE)
+    with open_renderer(Rendering(), ground, out.folder) as renderer:
+        for name, (count, empty) in images.items():
+            if out.dataset(name).exists():
+                continue
+            settings = SceneSettings(
                 size_px=side_px(read_suite().image_m, card.gsd_m),
                 places=places,
                 conditions=WEATHER,
                 empty_share=empty,
-            ),
-            # Ground and vehicles of one camouflage are not those of the next.
-            seed=seed + row,
-            camouflage=camouflage,
-            labels="yolo",
-        ).run()
+            )
+            worn = load_camouflage(layout.camouflages / name).to(device) if name in names else None
+            with progress_bar(f"render {name}") as update:
+                render_dataset(
+                    out.dataset(name),
+                    # Their names differ from folder to folder, so that all can be put into one.
+                    sampled_scenes(
+                        settings, ground, fleet, "attack", count, request.seed, name=name
+                    ),
+                    fleet,
+                    renderer,
+                    camouflage=worn,
+                    yolo=True,
+                    device=device,
+                    progress=update,
+                )
     say(
-        f"{card.name} cannot be trained here, so add these images to its own training, three to "
-        "every labelled photograph. Ultralytics reads data.yaml in each folder, others "
-        "annotations.json (COCO). Then assess it anew: a detector that is hardened against a known "
-        "camouflage is not thereby hardened against the next."
+        f"skyproof cannot train {card.name}. Add the images of "
+        f"{out.dataset('paints').parent.resolve()} to its training, about three for each labelled "
+        "photograph. Each folder has labels for Ultralytics (data.yaml, class 0 is vehicle) and in "
+        "COCO format (annotations.json). Then "
+        "assess the detector anew: one that resists these camouflages may not resist new ones."
     )
 
 
-def _strongest(results: Results) -> list[str]:
-    """Folders of the attacks, of different kinds, and of the control that hide most."""
-    rates: dict[tuple[bool, str], tuple[float, str]] = {}
-    for row in results.rows:
-        name = row.camouflage
-        # A random shape on an attack's own texture is no control of that texture.
-        other = row.renderer != RENDERER or (name.random and name.order == "seq")
-        folder = next((each for each in _folders(name) if each in results.records), None)
-        if folder and not other and row.easr.low > 0:
-            kind = (name.random, str(name.control))
-            rates[kind] = max(rates.get(kind, (0.0, "")), (row.easr.estimate, folder))
-    ranked = sorted(rates, key=lambda kind: -rates[kind][0])
-    attacks = [rates[kind][1] for kind in ranked if not kind[0]]
-    controls = [rates[kind][1] for kind in ranked if kind[0]]
-    return attacks[:_ATTACKS] + controls[:1]
-
-
-def _folders(name: CamouflageName) -> tuple[str, str]:
-    return str(name), str(name.with_repeat(0))
+def refuse_other_images(request: Harden, card: DetectorCard, names: list[str]) -> None:
+    """Refuses what would mix images of two assessments, and options without effect."""
+    layout, out = Layout(request.run_folder), Layout(request.out)
+    if request.data or request.steps != Harden.steps:
+        raise ConfigurationError(
+            f"{card.name} cannot be trained here, and images are rendered for its own training; "
+            "leave out --data and --steps."
+        )
+    if out.folder.resolve() == layout.folder.resolve():
+        raise ConfigurationError(f"--out expects another folder than {layout.folder}.")
+    wanted = {
+        "results_sha256": file_digest(layout.results),
+        "camouflages": names,
+        "seed": request.seed,
+    }
+    identity = out.folder / "images.json"
+    if identity.exists():
+        stored: Any = read_document(identity, dict[str, Any], "choose another --out")
+        refuse_other(out.folder, stored, wanted, "images of another assessment or seed")
+    else:
+        refuse_existing(out.folder)
+        write_json(identity, wanted)

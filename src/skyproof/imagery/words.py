@@ -109,8 +109,8 @@ def tiling_words(
     few = record.counts["test"]["tiles"]
     if 0 < few < _FEW_TILES:
         yield (
-            f"  {counted(few, 'test tile')}: too few for a useful interval. Where what a tile's "
-            "vehicles have in common decides, a success rate stays open by "
+            f"  {counted(few, 'test tile')}: too few for a useful interval. If the vehicles of a "
+            "tile succeed or fail together, a success rate is uncertain by "
             f"±{100 / math.sqrt(few):.0f} points; give more imagery, or make the tiles smaller "
             "(--tiling.size-px of skyproof ground)."
         )

@@ -1,15 +1,16 @@
-"""Advice on the detectors, images to harden them, and limits of the numbers; never how to hide."""
+"""Advice on the detectors, how to harden them, and limits of the numbers; never how to hide."""
 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from skyproof import words
 from skyproof.camouflage.name import CamouflageName
 from skyproof.layout import Layout
 from skyproof.results.conditions import Bin, Panel
 from skyproof.results.result import MEAN, Result
-from skyproof.results.results import Results
+from skyproof.results.results import RENDERER, Results
 from skyproof.results.stored import AttackRecord
 from skyproof.results.weak import weak_attacks
 
@@ -110,31 +111,36 @@ def _attacked(results: Results, camouflage: CamouflageName) -> list[str]:
 
 @dataclass(frozen=True)
 class Hardening:
-    """What there is to train away: the strongest attacks.
+    """The strongest attacks, and what `skyproof harden` does about them.
 
-    A detector that is `trainable` here is trained further by `skyproof harden`. For others it
-    renders images to add to their own training. It takes assessments of one detector alone.
+    It trains a `trainable` detector further, and renders images for any other. `alone` says that
+    the run is an assessment of one detector, which the command needs.
     """
 
-    attacks: Sequence[str]
+    attacks: Sequence[CamouflageName]
     trainable: bool
     alone: bool
 
 
 def hardening(results: Results, every: Sequence[Result]) -> Hardening | None:
-    """Names the strongest attacks.
+    """Names the strongest attacks of different kinds.
 
     None where no attack surely hides anything, or the run folder lacks what hardening needs.
     """
     layout = Layout(results.folder)
-    known = [row for row in every if row.easr.low > 0 and _known(results, row.camouflage)]
-    ranked = sorted(known, key=lambda row: -row.easr.estimate)[:_STRONGEST]
+    kinds: dict[Any, CamouflageName] = {}
+    for row in sorted(every, key=lambda row: -row.easr.estimate):
+        name = row.camouflage
+        known = {str(name), str(name.with_repeat(0))} & results.records.keys()
+        if known and row.easr.low > 0 and row.renderer == RENDERER and not name.kept_copy:
+            kinds.setdefault((name.kind, name.constraints), name)
     needed = (layout.backgrounds / "index.json", layout.fleets / "attack")
-    if not ranked or not results.test_scenes or not all(place.exists() for place in needed):
+    if not kinds or not results.test_scenes or not all(place.exists() for place in needed):
         return None
-    trainable = all(card.trainable for card in results.cards.values())
+    cards = results.cards
+    trainable = all(name in cards and cards[name].trainable for name in results.detectors)
     alone = bool(results.config.suite) and len(results.detectors) == 1
-    return Hardening([str(row.camouflage) for row in ranked], trainable, alone)
+    return Hardening([*kinds.values()][:_STRONGEST], trainable, alone)
 
 
 def readings(panels: Sequence[Panel]) -> list[str]:
@@ -164,8 +170,3 @@ def _extremes(panel: Panel) -> tuple[Bin, Bin] | None:
 
 def _told(bar: Bin) -> str:
     return f"{bar.label} ({words.percent(bar.rate.estimate)})".replace("\n", " ")
-
-
-def _known(results: Results, camouflage: CamouflageName) -> bool:
-    """Whether the run holds a camouflage or one of its repeats."""
-    return any(str(name) in results.records for name in (camouflage, camouflage.with_repeat(0)))

@@ -164,10 +164,7 @@ def _next_steps(
             "precheck) before you quote a figure for real imagery."
         )
     if hardened:
-        steps.append(
-            "Harden the detectors with the command below, then assess them again with newly "
-            "optimised attacks."
-        )
+        steps.append("Harden the detectors as described below, then assess them anew.")
     elif every:
         steps.append("Quote net figures with their intervals when you compare detectors.")
     return steps[:_MOST_STEPS]

@@ -12,7 +12,7 @@ from msgspec import Meta
 
 from skyproof.ranges import Fraction, Match, Metres, Name, WholeNumber
 from skyproof.results.statistics.intervals import Interval
-from skyproof.words import counted, detector_name, interval, listed, percent
+from skyproof.words import detector_name, interval, listed, percent
 
 LARGEST_DIFFERENCE = 0.1
 """Largest difference of the two recalls, either way, with which renders are valid.
@@ -133,7 +133,8 @@ class Likeness:
     def sentence(self) -> str:
         """The finding in one sentence, or two with what differs."""
         name = detector_name(self.detector)
-        on = f"on the same {counted(self.tiles, 'tile')} of {self.dataset}"
+        same = "tile" if self.tiles == 1 else f"{self.tiles} tiles"
+        on = f"on the same {same} of {self.dataset}"
         if self.state == "unknown":
             return (
                 f"It cannot be said whether {name} sees rendered vehicles like photographed ones: "

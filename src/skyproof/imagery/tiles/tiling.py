@@ -147,8 +147,7 @@ def tile_imagery(
     )
     without = [split for split in settings.split_shares if split not in splits.values()]
     if without:
-        told = f"there are not enough tiles, and none for {listed(without)}"
-        notes.append(f"{told}; give more imagery or a smaller size")
+        notes.append(f"too few tiles for {listed(without)}; give more imagery or a smaller size")
     tiles = _sorted_into_splits(folder, tiles, splits)
     if placed is not None:
         _write_datasets(folder, tiles, annotations, settings.gsd_m)
