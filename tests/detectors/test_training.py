@@ -150,7 +150,7 @@ def test_other_images_of_the_same_settings_are_refused(tmp_path: Path) -> None:
 
     def refused() -> None:
         for images in ((VALIDATION, VALIDATION), (TRAINING, TRAINING)):
-            with pytest.raises(RunFolderError, match="or other images"):
+            with pytest.raises(RunFolderError, match="start or images"):
                 train_on(*images)
 
     with pytest.raises(KeyboardInterrupt):

@@ -15,7 +15,13 @@ from tests.report.test_hardening import with_world
 def run_folder(tmp_path, monkeypatch):
     """A fabricated run of a single detector with its world."""
     monkeypatch.setattr("tests.report.fabricate.DETECTORS", DETECTORS[:1])
-    more = {"T-U_asked1500": 0.95, "T-Ma-0": 0.6, "T-Ma-1": 0.6, "S-O@0.2": 0.4}
+    more = {
+        "T-U_asked1500": 0.95,
+        "T-U_transfer": 0.75,
+        "T-Ma-0": 0.6,
+        "T-Ma-1": 0.6,
+        "S-O@0.2": 0.4,
+    }
     more |= {"R-U_pattern": 0.6, "R-U_plain": 0.3}
     for name, rate in more.items():
         monkeypatch.setitem(HIDES, name, rate)

@@ -76,7 +76,7 @@ def test_a_stopped_hardening_goes_on_exactly(rendered: RenderedWorld, tmp_path: 
     assert load_detector(tmp_path / "killed").weights_sha256 == whole.weights_sha256
     # Nothing is done again, and other settings are refused.
     run(rendered, tmp_path / "killed", images(rendered, "train"))
-    with pytest.raises(RunFolderError, match="another seed or other images"):
+    with pytest.raises(RunFolderError, match="another seed, start or images"):
         run(rendered, tmp_path / "killed")
 
 

@@ -28,7 +28,7 @@ from skyproof.loop import Loop, LoopPart, refuse_other
 
 _Tensors = tuple[Tensor, ...] | list[Tensor]
 
-_OTHER = "a training with other settings, another seed or other images"
+_OTHER = "a training with other settings, another seed, start or images"
 
 
 def train(
