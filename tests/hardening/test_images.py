@@ -17,10 +17,10 @@ def run_folder(tmp_path, monkeypatch):
     monkeypatch.setattr("tests.report.fabricate.DETECTORS", DETECTORS[:1])
     more = {
         "T-U_asked1500": 0.95,
-        "T-U_transfer": 0.75,
-        "T-Ma-0": 0.6,
-        "T-Ma-1": 0.6,
-        "S-O@0.2": 0.4,
+        "T-U_transfer": 0.65,
+        "T-Ma-0": 0.45,
+        "T-Ma-1": 0.45,
+        "S-O@0.2": 0.25,
     }
     more |= {"R-U_pattern": 0.6, "R-U_plain": 0.3}
     for name, rate in more.items():
