@@ -18,9 +18,9 @@ def run_folder(tmp_path, monkeypatch):
     more = {
         "T-U_asked1500": 0.95,
         "T-U_transfer": 0.65,
-        "T-Ma-0": 0.45,
-        "T-Ma-1": 0.45,
-        "S-O@0.2": 0.25,
+        "T-Ma-0": 0.6,
+        "T-Ma-1": 0.6,
+        "S-O@0.2": 0.3,
     }
     more |= {"R-U_pattern": 0.6, "R-U_plain": 0.3}
     for name, rate in more.items():
