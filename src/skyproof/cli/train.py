@@ -64,7 +64,7 @@ class Train:
             if (network.name, network.size) != kind:
                 raise ConfigurationError(
                     f"--from {self.start} expects a {' '.join(kind)} that skyproof trained, got a "
-                    f"{network.name} {network.size or 'of others'}."
+                    f"{network.name} {network.size or 'of another library'}."
                 )
             parent = network.card
         origins = [parent.trained_on if parent else "", *(each.origin for each in sets)]

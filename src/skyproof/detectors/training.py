@@ -50,9 +50,9 @@ def train(
     number of threads the result equals that of an uninterrupted training bit for bit.
 
     The detector is on the device to train on: new from `build_detector`, or trained before as the
-    card of its `parent` says. `trained_on` names the images. Validation chooses the
-    best weights (centre AP, then F1) and freezes the threshold. The generator gives one number, the
-    seed of order and augmentation (`training_batch`). `on_step` gets each row of `steps.jsonl`.
+    card of its `parent` says. `trained_on` names the images. Validation chooses the best weights
+    (centre AP, then F1) and freezes the threshold. The generator gives one number, the seed of
+    order and augmentation (`training_batch`). `on_step` gets each row of `steps.jsonl`.
 
     Raises:
         ConfigurationError: no training image, or no vehicle to validate with.

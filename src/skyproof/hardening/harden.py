@@ -57,16 +57,22 @@ def harden_run(request: Harden) -> None:
             "(skyproof assess), and give that run."
         )
     card = read_card(layout.detector(names[0]))
+    if not layout.results.exists():
+        raise ConfigurationError(
+            f"{layout.folder} is not finished; give its command of skyproof assess again first."
+        )
+    results = Results.open(layout.folder)
     if not card.trainable:
-        _refuse_unfinished(layout)
-        names = strongest(Results.open(layout.folder))
+        names = strongest(results)
         refuse_other_images(request, card, names)
         render_images(request, card, names, *_ground(request, layout, out, config, card.gsd_m))
         return
     folder = out.detector(names[0])
     device = choose_device("auto")
     (detector,) = load_ensemble([layout.detector(names[0])], device, card.gsd_m)
-    parent = _parent(layout, detector.weights_sha256)
+    # The results of the assessment are kept beside the hardened detector.
+    digests = (detector.weights_sha256, scenes_of(results))
+    parent = Parent(*known_rates(results), [*ATTACKS], *digests)
     photographs = _photographs(request, layout, config, card.gsd_m)
     settings = TrainingSettings(
         request.steps,
@@ -91,20 +97,6 @@ def harden_run(request: Harden) -> None:
     write_json(folder / PARENT_FILE, to_builtins(parent))
     say_card(hardened, folder)
     say(f"Assess it anew: {_assess(config, folder)}")
-
-
-def _parent(layout: Layout, weights_sha256: str) -> Parent:
-    """The results of the assessment, to be kept beside the hardened detector."""
-    _refuse_unfinished(layout)
-    results = Results.open(layout.folder)
-    return Parent(*known_rates(results), [*ATTACKS], weights_sha256, scenes_of(results))
-
-
-def _refuse_unfinished(layout: Layout) -> None:
-    if not layout.results.exists():
-        raise ConfigurationError(
-            f"{layout.folder} is not finished; give its command of skyproof assess again first."
-        )
 
 
 def _photographs(

@@ -49,9 +49,7 @@ def strongest(results: Results) -> list[str]:
         if row.easr.low > 0 and row.camouflage.order != "seq"
         if str(row.camouflage) in results.records
     }
-    names = [(str(name), str(name.with_repeat(0))) for name in found.attacks]
-    attacks = [next(name for name in both if name in results.records) for both in names]
-    return attacks + sorted(controls, key=lambda name: -controls[name])[:1]
+    return [*found.attacks, *sorted(controls, key=lambda name: -controls[name])[:1]]
 
 
 def render_images(
@@ -96,8 +94,8 @@ def render_images(
         f"skyproof cannot train {card.name}. Add the images of "
         f"{out.dataset('paints').parent.resolve()} to its training, about three for each labelled "
         "photograph. Each folder has labels for Ultralytics (data.yaml, class 0 is vehicle) and in "
-        "COCO format (annotations.json). Then "
-        "assess the detector anew: one that resists these camouflages may not resist new ones."
+        "COCO format (annotations.json). Then assess the detector anew: one that resists these "
+        "camouflages may not resist new ones."
     )
 
 

@@ -1,7 +1,7 @@
 """Advice on the detectors, how to harden them, and limits of the numbers; never how to hide."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -111,13 +111,13 @@ def _attacked(results: Results, camouflage: CamouflageName) -> list[str]:
 
 @dataclass(frozen=True)
 class Hardening:
-    """The strongest attacks, and what `skyproof harden` does about them.
+    """The strongest attacks by their folders, and what `skyproof harden` does about them.
 
     It trains a `trainable` detector further, and renders images for any other. `alone` says that
     the run is an assessment of one detector, which the command needs.
     """
 
-    attacks: Sequence[CamouflageName]
+    attacks: Mapping[str, CamouflageName]
     trainable: bool
     alone: bool
 
@@ -128,19 +128,19 @@ def hardening(results: Results, every: Sequence[Result]) -> Hardening | None:
     None where no attack surely hides anything, or the run folder lacks what hardening needs.
     """
     layout = Layout(results.folder)
-    kinds: dict[Any, CamouflageName] = {}
+    kinds: dict[Any, tuple[str, CamouflageName]] = {}
     for row in sorted(every, key=lambda row: -row.easr.estimate):
         name = row.camouflage
-        known = {str(name), str(name.with_repeat(0))} & results.records.keys()
-        if known and row.easr.low > 0 and row.renderer == RENDERER and not name.kept_copy:
-            kinds.setdefault((name.kind, name.constraints), name)
+        folders = {str(name), str(name.with_repeat(0))} & results.records.keys()
+        if folders and row.easr.low > 0 and row.renderer == RENDERER and not name.kept_copy:
+            kinds.setdefault((name.kind, name.constraints), (min(folders), name))
     needed = (layout.backgrounds / "index.json", layout.fleets / "attack")
     if not kinds or not results.test_scenes or not all(place.exists() for place in needed):
         return None
     cards = results.cards
     trainable = all(name in cards and cards[name].trainable for name in results.detectors)
     alone = bool(results.config.suite) and len(results.detectors) == 1
-    return Hardening([*kinds.values()][:_STRONGEST], trainable, alone)
+    return Hardening(dict([*kinds.values()][:_STRONGEST]), trainable, alone)
 
 
 def readings(panels: Sequence[Panel]) -> list[str]:
