@@ -85,7 +85,8 @@ def test_all_four_wheels_reach_the_ground(body_type: str) -> None:
             d.length / 2 - d.front_overhang,
             d.length / 2 - d.front_overhang - d.wheelbase,
         ):
-            near = (vertices[:, 0] - axle).abs() < 0.2
+            # A long vehicle's rings are further apart.
+            near = (vertices[:, 0] - axle).abs() < max(0.2, float(body.station.diff().max()) / 2)
             assert vertices[near & (vertices[:, 1] > 0.5), 2].min() < 0.005
 
 

@@ -52,7 +52,8 @@ def _share_from_above(body_type: str, part: Part) -> torch.Tensor:
 @pytest.mark.parametrize("body_type", TYPES)
 def test_part_shares_seen_from_above_are_plausible(body_type: str) -> None:
     glass = _share_from_above(body_type, Part.GLASS)
-    assert glass.min() > (0.06 if body_type == "van" else 0.10)
+    # Of a bus one sees the windscreen's upper end.
+    assert glass.min() > {"van": 0.06, "bus": 0.01, "lorry": 0.01}.get(body_type, 0.10)
     assert glass.median() < 0.36
     assert glass.max() < 0.43  # with a panorama roof
     body = _share_from_above(body_type, Part.BODY)
@@ -92,6 +93,16 @@ def test_the_windscreen_reaches_across(body_type: str) -> None:
         assert pane.max() < 0.13
         assert (pane[2] - pane[0]).median() > 0.01
         assert len(pane[:, 4:-4].unique(dim=1).T) <= 2
+
+
+def test_a_lorry_has_a_gap_behind_its_cab_and_a_bus_things_on_its_roof() -> None:
+    def roof_without_paint(body_type: str) -> torch.Tensor:
+        return (_fleet(body_type).parts[:, 120:400, 240:272] == Part.TRIM).float().mean((1, 2))
+
+    assert not roof_without_paint("van").any()
+    assert roof_without_paint("lorry").min() > 0.01
+    assert roof_without_paint("lorry").max() < 0.2
+    assert roof_without_paint("bus").min() > 0.05
 
 
 def test_a_saloon_has_whole_wheels_on_the_ground() -> None:

@@ -137,16 +137,23 @@ def draw_fleets(
     seed: int,
     sample: Callable[..., Fleet],
 ) -> None:
-    """Writes the four fleets, or nothing; attack and test have catalogue paints and own shapes."""
+    """Writes the four fleets, or nothing.
+
+    Train and validation have buses and lorries, too; attack and test have catalogue paints and own
+    shapes.
+    """
     from skyproof.camouflage.random_controls import wear_random_controls
     from skyproof.randomness import generator_of
+    from skyproof.vehicles.fleet import TRAINING_WEIGHTS
 
     with finished_folder(out) as folder:
         # Numbers go on from split to split: no vehicle is in two of them.
         first_number = settings.first_number
         for split, count in zip(SPLITS, counts, strict=True):
             chosen = replace(settings, count=count, first_number=first_number)
-            if split not in ("train", "validation"):
+            if split in ("train", "validation"):
+                chosen = replace(chosen, weights=TRAINING_WEIGHTS)
+            else:
                 chosen = replace(chosen, paints=CATALOGUE_PAINTS, shapes=0.0)
             with progress_bar(f"vehicles {split}") as update:
                 generator = generator_of(seed, "fleet", split)

@@ -124,7 +124,11 @@ def _draw(
 ) -> list[Scene]:
     """Draws scenes in all weathers, an `empty` share of them without vehicles."""
     settings = replace(
-        world.scenes, vehicles_maximum=_MOST_VEHICLES, conditions=WEATHER, empty_share=empty
+        world.scenes,
+        vehicles_maximum=_MOST_VEHICLES,
+        conditions=WEATHER,
+        empty_share=empty,
+        margin_m=0.5,
     )
     return replace(world, scenes=settings).draw(count, generator=generator)
 

@@ -29,8 +29,9 @@ CAP_RINGS = 2  # rings inside each bumper's face
 CAP_SCALES = (0.45, 0.86)
 _CAP_DEPTH_M = 0.06
 _SMOOTHING_M = 0.13
-# Half the length of the tyre's contact, so that at least one ring reaches the ground.
-_FLAT_TYRE_M = 0.125
+# Half the length of the tyre's contact, and its share of the space between two rings, so that at
+# least one ring reaches the ground.
+_FLAT_TYRE_M, _FLAT_TYRE_SHARE = 0.125, 0.4
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ class BodyDimensions:
 # 1.68, 2.68), one-tonne crew cab pickups (Ford Ranger 5.37 x 1.92 x 1.88, 3.27; Toyota Hilux 5.33 x
 # 1.86 x 1.82, 3.09), vans (VW Transporter 4.90 x 1.90 x 1.99, 3.00; Ford Transit Custom 5.05 x 2.03
 # x 2.00, 3.10; Mercedes Sprinter 5.93 x 2.02 x 2.60, 3.67). Stations, rakes and heights between are
-# our estimates.
+# our estimates, and so are buses and lorries, at most 2.55 m wide as the law has it in Europe.
 BODY_RANGES = msgspec.json.decode(
     Path(__file__).with_name("bodies.json").read_bytes(),
     type=dict[str, dict[str, tuple[float, float]]],
@@ -285,9 +286,10 @@ def _lower_side(
     ends = torch.minimum(station, d.length - station)
     bottom = d.clearance + 0.08 * (1 - ends / 0.6).clamp(0.0)
     wheel = torch.zeros_like(station)
+    flat_m = max(_FLAT_TYRE_M, _FLAT_TYRE_SHARE * float(station.diff().amax()))
     for axle in (d.front_overhang, d.front_overhang + d.wheelbase):
         distance = (station - axle).abs()
-        reach = (distance - _FLAT_TYRE_M).clamp(0.0) / (0.95 * d.wheel_radius)
+        reach = (distance - flat_m).clamp(0.0) / (0.95 * d.wheel_radius)
         tyre = d.wheel_radius * (1 - (1 - reach**2).clamp(0.0).sqrt())
         bottom = torch.minimum(bottom, tyre)
         wheel = torch.maximum(wheel, (1 - (distance / (1.5 * d.wheel_radius)) ** 2).clamp(0.0))

@@ -13,6 +13,9 @@ from skyproof.vehicles.vehicle import TEXTURE_SIZE, Part
 GLASS_SRGB = (0.060, 0.070, 0.080)
 """What shows through panes, nearly nothing; single vehicles have 0.75 to 1.45 times as much."""
 
+LARGE = ("bus", "lorry")
+"""Body types that are painted as vans, and then their roofs."""
+
 _BLACK = (0.06, 0.06, 0.065)
 _RUBBER = (0.075, 0.075, 0.075)
 _CHROME = (0.62, 0.63, 0.64)
@@ -35,6 +38,8 @@ def paint_vehicle(
 
     Colours of body panels and panes, sRGB in [0, 1], are drawn if None, with the same other draws.
     """
+    large = body_type in LARGE
+    body_type, name = "van" if large else body_type, body_type
     _, drawn_paint = sample_paint(body_type, generator=generator)
     paint = drawn_paint if paint is None else paint
     chance = torch.rand(12, generator=generator).tolist()
@@ -50,6 +55,8 @@ def paint_vehicle(
     _paint_roof(canvas, body_type, glass, chance[4:9])
     if body.dimensions.bed_depth:
         _paint_bed(canvas, paint if chance[9] < 0.4 else torch.tensor([0.12, 0.12, 0.125]))
+    if large:
+        _paint_large(canvas, name, paint, generator=generator)
     if coat == "plain" and chance[11] < 0.5:
         # Neither a pane nor a wheel may be what tells a vehicle from a thing of its colour.
         canvas.colour.copy_(paint.view(3, 1, 1).expand_as(canvas.colour))
@@ -153,7 +160,7 @@ def _paint_ends(c: TextureCanvas, body_type: str, paint: Colour, chance: float) 
     across = 0.76 if tall else 0.50
     height = {"saloon": 0.17, "pickup": 0.40, "van": 0.42}.get(body_type, 0.30)
     where = above_floor & (c.y > across * half) & between(c.z, high - height, high)
-    c.fill(where & (c.ahead < 0.34), _TAIL_LAMP, Part.LIGHT)
+    c.fill(where & (c.ahead < 0.2), _TAIL_LAMP, Part.LIGHT)
     rear_face = tail & (c.ahead < 0.14)
     plate_z = 0.66 if body_type in ("saloon", "suv", "estate", "hatchback") else 0.48
     c.fill(rear_face & (c.y < 0.26) & between(c.z, plate_z, plate_z + 0.11), _PLATE, Part.TRIM)
@@ -234,6 +241,28 @@ def _paint_bed(c: TextureCanvas, colour: Tensor) -> None:
     c.shade(bed & (((c.y / 0.12) % 1.0) < 0.3), 0.75)
     gate = (c.column > TOPOLOGY_BELT) & between(c.station, d.length - 0.085, d.length - 0.075)
     c.shade(gate, _SEAM)
+
+
+def _paint_large(c: TextureCanvas, name: str, paint: Colour, *, generator: torch.Generator) -> None:
+    """Paints a lorry's box behind the gap to its cab, or what stands on a bus's roof."""
+    d = c.body.dimensions
+    draws = torch.rand(6, 4, generator=generator).tolist()
+    above = c.upper & (c.column > 12)
+    if name == "lorry":
+        gap, tone = 1.9 + 0.6 * draws[0][0], 0.15 + 0.8 * draws[0][1]
+        box = paint if draws[0][2] < 0.3 else (tone, tone, tone)
+        c.fill(~c.floor & (c.z > 0.9) & between(c.behind, gap + 0.3, d.length), box, Part.BODY)
+        c.fill(c.upper & between(c.station, gap, gap + 0.3), _BLACK, Part.TRIM)
+        return
+    for along, length, width, tone in draws[: 2 + int(d.length > 10) + int(4 * draws[5][0])]:
+        middle, half = d.length * (0.12 + 0.76 * along), 0.4 + 1.1 * length
+        thing = above & (c.y < 0.25 + 0.5 * width) & between(c.station - middle, -half, half)
+        c.fill(thing, (0.12 + 0.7 * tone,) * 3, Part.TRIM)
+        edge = thing & ~between(c.station - middle, 0.07 - half, half - 0.07)
+        c.shade(edge, _SEAM)
+    if d.length > 13:
+        bellows = 0.5 * d.length + draws[5][1]
+        c.fill(c.upper & between(c.station - bellows, -0.6, 0.6), (0.2, 0.19, 0.18), Part.TRIM)
 
 
 def _dirty(texture: Tensor, z: Tensor, amount: float, *, generator: torch.Generator) -> Tensor:
