@@ -2,6 +2,9 @@
 
     skyproof reproduce --preset reference --out runs/reference --cores 2
     python tools/ship_reference.py runs/reference
+    skyproof assess retinanet --out runs/plain
+    skyproof harden runs/plain --data runs/reference/datasets/train --steps 3000 --out runs/hardened
+    python tools/ship_reference.py runs/reference --hardened runs/hardened
 
 Weights are halved. What is told of the detectors is measured on the halved ones: the threshold and
 the scores of validation on the run's validation images, the check on the run's own scenes.
@@ -20,7 +23,14 @@ import tyro
 
 from skyproof.cli.precheck import Precheck
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.card import REFERENCE_DETECTORS, REFERENCE_FOLDER, DetectorCard, write_card
+from skyproof.detectors.card import (
+    HARDENED_DETECTORS,
+    PARENT_FILE,
+    REFERENCE_DETECTORS,
+    REFERENCE_FOLDER,
+    DetectorCard,
+    write_card,
+)
 from skyproof.detectors.inference import detect_all
 from skyproof.detectors.loaded import load_detector
 from skyproof.detectors.matching import MatchTable, match_images
@@ -42,8 +52,8 @@ README = """\
 # The reference detectors
 
 Slim versions of RetinaNet and Faster R-CNN that come with skyproof, so that a first report needs no
-training. Each is a detector folder like any other: `detector.json`, `weights.safetensors` and
-`precheck.json`, what `skyproof precheck` found of it.
+training, and a RetinaNet after `skyproof harden`. Each is a detector folder like any other:
+`detector.json`, `weights.safetensors` and `precheck.json`, what `skyproof precheck` found of it.
 
 **What they are for:** a first report, tests, examples, and to compare a detector of your own with.
 **What they are not for:** finding vehicles for a purpose of yours. They learnt from procedural
@@ -55,6 +65,9 @@ on your imagery `skyproof precheck` tells.
 ```
 skyproof reproduce --preset reference --out runs/reference --cores 2
 python tools/ship_reference.py runs/reference
+skyproof assess retinanet --out runs/plain
+skyproof harden runs/plain --data runs/reference/datasets/train --steps 3000 --out runs/hardened
+python tools/ship_reference.py runs/reference --hardened runs/hardened
 ```
 
 in a checkout. No data and no weights of others went in.
@@ -85,11 +98,13 @@ class ShipReference:
     Attributes:
         run_folder: a finished run of the preset `reference`.
         out: folder that comes with the package.
+        hardened: a run of `skyproof harden` on its RetinaNet, to be shipped, too.
         device: auto, cpu or cuda.
     """
 
     run_folder: Annotated[Path, tyro.conf.Positional]
     out: Path = REFERENCE_FOLDER
+    hardened: Path | None = None
     device: str = "auto"
 
     def run(self) -> None:
@@ -105,11 +120,16 @@ class ShipReference:
         (check,) = (step.settings for step in plan.steps if isinstance(step.settings, Precheck))
         self.out.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory() as scratch:
-            made = [Path(scratch) / name for name in REFERENCE_DETECTORS]
-            changes = [_halve(layout, folder) for folder in made]
-            replace(check, detectors=tuple(made)).run()
-            rows = [_row(folder, change) for folder, change in zip(made, changes, strict=True)]
-            for folder in made:
+            sources = {Path(scratch) / name: layout.detector(name) for name in REFERENCE_DETECTORS}
+            if self.hardened is not None:
+                (name,) = HARDENED_DETECTORS
+                sources[Path(scratch) / name] = Layout(self.hardened).detector("retinanet")
+            rows = []
+            for folder, source in sources.items():
+                change = _halve(layout, source, folder)
+                replace(check, detectors=(folder,)).run()
+                rows.append(_row(folder, change))
+            for folder in sources:
                 shutil.rmtree(self.out / folder.name, ignore_errors=True)
                 shutil.move(folder, self.out)
         machine = read_environment(layout.environment)
@@ -125,14 +145,14 @@ class ShipReference:
         print(page.partition("## How they were made")[2])
 
 
-def _halve(layout: Layout, folder: Path) -> tuple[float, int, int]:
-    """Writes a detector's folder with halved weights, but for its check.
+def _halve(layout: Layout, source: Path, folder: Path) -> tuple[float, int, int]:
+    """Writes the folder of a trained detector with halved weights, but for its check.
 
     Returns:
         By how much halving moves the score of any vehicle of the test images at most; how many
         vehicles it wins or loses at the threshold; and how many vehicles there are.
     """
-    trained = load_detector(layout.detector(folder.name))
+    trained = load_detector(source)
     before = _matched(trained, layout)
     halves = {
         name: tensor.half() if tensor.is_floating_point() else tensor
@@ -149,6 +169,8 @@ def _halve(layout: Layout, folder: Path) -> tuple[float, int, int]:
     scores = validate(trained, Dataset.open(layout.dataset("validation")))
     card = replace(trained.card, threshold=scores.pop("threshold"), validation=scores)
     write_card(folder / "detector.json", replace(card, weights_sha256=trained.weights_sha256))
+    if (source / PARENT_FILE).exists():
+        shutil.copy(source / PARENT_FILE, folder)
     after = _matched(trained, layout)
     moved = float(np.abs(after.score_of_vehicle - before.score_of_vehicle).max())
     changed = before.found_at(trained.threshold) != after.found_at(card.threshold)
@@ -165,7 +187,7 @@ def _row(folder: Path, change: tuple[float, int, int]) -> str:
     card: DetectorCard = load_detector(folder).card
     moved, changed, vehicles = change
     cells = [
-        detector_name(card.name),
+        "hardened " * (folder.name in HARDENED_DETECTORS) + detector_name(card.name),
         percent(card.validation["ap_centre_1m"], 1),
         f"{card.threshold:.3f}",
         worst(findings(read_precheck(folder))).outcome,

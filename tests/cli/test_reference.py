@@ -10,6 +10,7 @@ import pytest
 
 from skyproof.detectors import card
 from skyproof.detectors.card import (
+    HARDENED_DETECTORS,
     REFERENCE_DETECTORS,
     REFERENCE_FOLDER,
     detector_folder,
@@ -51,6 +52,9 @@ def test_a_name_serves_wherever_a_folder_does(
 def test_the_folders_hold_what_a_detector_folder_holds() -> None:
     for name in REFERENCE_DETECTORS:
         assert set(bytes_of(REFERENCE_FOLDER / name)) == FILES
+    for name in HARDENED_DETECTORS:
+        assert detector_folder(name) == REFERENCE_FOLDER / name
+        assert set(bytes_of(REFERENCE_FOLDER / name)) == {*FILES, "parent.json"}
 
 
 def _halved(path: Path) -> None:

@@ -11,6 +11,7 @@ from safetensors.torch import load_file
 import skyproof as sp
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.card import (
+    HARDENED_DETECTORS,
     REFERENCE_DETECTORS,
     REFERENCE_FOLDER,
     reference_folder,
@@ -23,11 +24,12 @@ from skyproof.detectors.validation import validate
 from skyproof.errors import ConfigurationError
 from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.render.dataset import placed_vehicles
-from skyproof.results.precheck import read_prechecks
+from skyproof.results.precheck import read_precheck
 from skyproof.scenes.sampling import sample_scenes
 from skyproof.scenes.settings import SceneSettings
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 
+SHIPPED = (*REFERENCE_DETECTORS, *HARDENED_DETECTORS)
 SCENES, SIDE_PX = 24, 128
 LARGEST_BYTES = 5_000_000
 
@@ -54,7 +56,7 @@ def recall_and_precision(found: list[Detections], images: Dataset, threshold: fl
     return hits / table.vehicles, hits / max(hits + alarms, 1)
 
 
-@pytest.mark.parametrize("name", REFERENCE_DETECTORS)
+@pytest.mark.parametrize("name", SHIPPED)
 def test_they_find_vehicles_at_their_frozen_threshold(name: str, images: Dataset) -> None:
     judge = load_detector(name)
     found = detect_all(judge, images)
@@ -65,7 +67,7 @@ def test_they_find_vehicles_at_their_frozen_threshold(name: str, images: Dataset
     assert validate(judge, images)["f1"] < 2 / (1 / recall + 1 / precision) + 0.1
 
 
-@pytest.mark.parametrize("name", REFERENCE_DETECTORS)
+@pytest.mark.parametrize("name", SHIPPED)
 def test_halves_are_stored_and_single_precision_is_computed_with(name: str) -> None:
     path = REFERENCE_FOLDER / name / "weights.safetensors"
     assert path.stat().st_size <= LARGEST_BYTES
@@ -76,16 +78,15 @@ def test_halves_are_stored_and_single_precision_is_computed_with(name: str) -> N
     for key, tensor in loaded.state_dict().items():
         assert torch.equal(tensor, stored[key].to(tensor.dtype)), key
     card = loaded.card
-    assert (card.name, card.size, card.gsd_m) == (name, "slim", 0.125)
+    assert (card.name, card.size, card.gsd_m) == (name.removesuffix("_hardened"), "slim", 0.125)
     assert card.parameters == sum(each.numel() for each in loaded.parameters())
     assert card.doubts == []
 
 
 def test_their_check_is_of_these_very_weights() -> None:
-    # A record of other weights or another threshold would be left out.
-    records = read_prechecks(REFERENCE_FOLDER)
-    assert set(records) == set(REFERENCE_DETECTORS)
-    for record in records.values():
+    for name in SHIPPED:
+        record, card = read_precheck(REFERENCE_FOLDER / name), load_detector(name).card
+        assert (record.weights_sha256, record.threshold) == (card.weights_sha256, card.threshold)
         assert record.measured_on.sources == ("procedural",)
         assert {rate.kind for rate in record.rates} >= {"paint_body", "blur", "control", "sun"}
 
@@ -94,9 +95,9 @@ def test_how_they_were_made_is_told_beside_them() -> None:
     page = (REFERENCE_FOLDER / "README.md").read_text(encoding="utf-8")
     assert "Apache-2.0" in page
     assert "skyproof reproduce --preset reference" in page
-    for name in REFERENCE_DETECTORS:
+    for name in SHIPPED:
         assert f"{load_detector(name).threshold:.3f}" in page
-    assert {path.name for path in REFERENCE_FOLDER.iterdir()} == {"README.md", *REFERENCE_DETECTORS}
+    assert {path.name for path in REFERENCE_FOLDER.iterdir()} == {"README.md", *SHIPPED}
 
 
 @pytest.mark.parametrize("name", ["yolov5", "../retinanet", ""])

@@ -15,10 +15,13 @@ from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import write_json
 from skyproof.ranges import Fraction, GroundResolution, Name, WholeNumber, check_ranges, is_name
-from skyproof.words import detector_name
+from skyproof.words import detector_name, listed
 
 REFERENCE_DETECTORS = ("retinanet", "faster_rcnn")
 """YOLOv5 is trained on the user's machine, because its library has another licence."""
+
+HARDENED_DETECTORS = ("retinanet_hardened",)
+"""Reference detectors after `skyproof harden`, to set beside the plain ones."""
 
 REFERENCE_FOLDER = Path(__file__).with_name("reference")
 
@@ -159,10 +162,11 @@ def require_detector_name(name: str, remedy: str) -> None:
 
 def reference_folder(name: str) -> Path:
     """Returns the folder of a detector that ships with skyproof; refuses the name of another."""
-    if name not in REFERENCE_DETECTORS:
+    shipped = (*REFERENCE_DETECTORS, *HARDENED_DETECTORS)
+    if name not in shipped:
         raise ConfigurationError(
-            f"{name[:100]!r} does not come trained, only {' and '.join(REFERENCE_DETECTORS)} do; "
-            "train it (skyproof train), or name one of these."
+            f"{name[:100]!r} does not come trained, only {listed(shipped)} do; train it (skyproof "
+            "train), or name one of these."
         )
     return REFERENCE_FOLDER / name
 
@@ -170,7 +174,8 @@ def reference_folder(name: str) -> Path:
 def detector_folder(place: str | Path) -> Path:
     """The folder of a path, or of the name of a detector that ships; an own folder goes first."""
     folder = Path(place)
-    named = str(place) in REFERENCE_DETECTORS and not folder.exists()
+    shipped = (*REFERENCE_DETECTORS, *HARDENED_DETECTORS)
+    named = str(place) in shipped and not folder.exists()
     return REFERENCE_FOLDER / folder.name if named else folder
 
 
