@@ -11,8 +11,11 @@ ROOF_COLOURS = {
     "tiled": palette("a8543a 8c4838 78463c 605450 56585e b26e4c"),
     "metal": palette("b0b4b8 ced0ce 7e868e 5c748c 7a8c7a"),
     "village": palette("966048 aa8c78 bebab4 822c32 788c76"),
-    "flat": palette("96948e bebcb4 707072 d8d6ce 5c5e62"),
+    "flat": palette("96948e bebcb4 707072 d8d6ce 5c5e62 484e56"),
 }
+_FRAMES = palette("e4e6e6 f0f0ec b4b8ba")
+_PANES = palette("3c4652 86a8bc")
+_MODULES = palette("22283e 34446c 7880a4")
 _CHIMNEYS = palette("965a46 aaa6a0")
 _EAVES_M = {"tiled": (2.6, 6.0), "village": (2.2, 3.2), "metal": (4.0, 8.0)}
 
@@ -69,8 +72,8 @@ def _flat_roof(canvas: Canvas, patch: Patch) -> None:
     canvas.raise_to(patch, np.where(edge, height_m + parapet_m, height_m))
     base = canvas.pick(ROOF_COLOURS["flat"])
     colour = canvas.varied(patch, base, grain=0.06, mottle=0.08)
-    seams = (np.mod(patch.u, 3.1) < 0.12) | (np.mod(patch.v, 7.3) < 0.12)
-    colour = colour * np.where(seams, 0.88, 1.0).astype(np.float32)[..., None]
+    seams = (np.mod(patch.u, rng.uniform(1.0, 3.5)) < 0.12) | (np.mod(patch.v, 7.3) < 0.12)
+    colour = colour * np.where(seams, rng.uniform(0.6, 0.9), 1.0).astype(np.float32)[..., None]
     puddles = np.clip(canvas.noise("patch", patch) - 0.8, 0, 0.8)[..., None]
     colour = colour * (1 - 0.5 * puddles)
     parapet = np.clip(base * rng.uniform(0.9, 1.5), 0, 0.85)
@@ -80,46 +83,53 @@ def _flat_roof(canvas: Canvas, patch: Patch) -> None:
 def _roof_furniture(
     canvas: Canvas, place: Place, size_m: Place, angle_rad: float, kind: str
 ) -> None:
-    """Puts roof lights, solar panels, chimneys or air conditioning on a roof: boxes on a plain."""
+    """Puts lights, solar panels, chimneys, air conditioning on a roof: boxes on a plain."""
     rng = canvas.rng
     half_u, half_v = size_m[0] / 2 - 1.2, size_m[1] / 2 - 1.2
     if half_u <= 0.5 or half_v <= 0.5 or kind == "village":
         return
-    if rng.random() < 0.55:
-        _roof_lights(canvas, place, (half_u, half_v), angle_rad, 1.4 if kind == "tiled" else 3.0)
-    if kind == "tiled":
-        if rng.random() < 0.6:
-            u_m = rng.uniform(-half_u, half_u)
-            _chimney(
-                canvas, beside(place, angle_rad, u_m, rng.uniform(-0.4, 0.4) * half_v), angle_rad
-            )
-        if rng.random() < 0.15:
-            spot = beside(place, angle_rad, rng.uniform(-0.4, 0.4) * half_u, 0.5 * half_v)
-            panels_m = (min(half_u, rng.uniform(2, 5)), min(half_v, 2.2))
-            _solar_panels(canvas, spot, panels_m, angle_rad)
-        return
-    if rng.random() < 0.12:
-        _solar_panels(canvas, place, (half_u * 1.4, half_v * 0.7), angle_rad)
-    for _ in range(rng.poisson(min(size_m[0] * size_m[1] / 60, 8))):
-        u_m = rng.uniform(-half_u, half_u)
-        spot = beside(place, angle_rad, u_m, rng.uniform(-half_v, half_v))
-        add_air_conditioner(canvas, spot, angle_rad)
+    for _ in range(rng.integers(0, 3)):
+        _roof_lights(canvas, place, (half_u, half_v), angle_rad)
+    if rng.random() < 0.25:
+        side = canvas.either(-1, 1) if kind == "tiled" else 0
+        spot = beside(place, angle_rad, rng.uniform(-0.4, 0.4) * half_u, 0.5 * side * half_v)
+        panels_m = (half_u * rng.uniform(0.5, 1.4), half_v * rng.uniform(0.5, 1.0))
+        _solar_panels(canvas, spot, panels_m, angle_rad)
+    if kind == "tiled" and rng.random() < 0.6:
+        v_m = rng.uniform(-0.4, 0.4) * half_v
+        _chimney(canvas, beside(place, angle_rad, rng.uniform(-half_u, half_u), v_m), angle_rad)
+    for _ in range(rng.poisson(0.4 if kind == "tiled" else min(size_m[0] * size_m[1] / 60, 8))):
+        spot_m = rng.uniform(-half_u, half_u), rng.uniform(-half_v, half_v)
+        add = _add_ridge if kind == "flat" and rng.random() < 0.2 else add_air_conditioner
+        turn_rad = canvas.either(0, math.pi / 2)
+        add(canvas, beside(place, angle_rad, *spot_m), angle_rad + turn_rad)
 
 
-def _roof_lights(
-    canvas: Canvas, place: Place, half_m: Place, angle_rad: float, longest_m: float
-) -> None:
-    """Puts a row of roof lights along a roof."""
+def _roof_lights(canvas: Canvas, place: Place, half_m: Place, angle_rad: float) -> None:
+    """Puts a row of small windows, or of large framed lights that stand high, along a roof."""
     rng = canvas.rng
-    size_m = (rng.uniform(0.8, 1.4), rng.uniform(1.0, longest_m))
-    row_v = rng.uniform(0.25, 0.8) * half_m[1] * canvas.either(-1, 1)
-    spacing_m = rng.uniform(2.0, 4.5)
-    colour = reflectance((214, 218, 222) if rng.random() < 0.5 else (60, 70, 82))
-    for u_m in np.arange(-half_m[0] + 1, half_m[0] - 1, spacing_m).tolist():
-        spot = beside(place, angle_rad, u_m, row_v)
-        canvas.paint(canvas.rectangle(spot, size_m, angle_rad), colour * rng.uniform(0.8, 1.2))
-        pane_m = (size_m[0] - 0.4, size_m[1] - 0.4)
-        canvas.paint(canvas.rectangle(spot, pane_m, angle_rad), colour * 0.75)
+    large = half_m[1] > 2.5 and rng.random() < 0.4
+    larger = (1.7, 2.3, 5.0) if large else (1.0, 1.0, 1.0)
+    width_m, length_m, rise_m = larger * rng.uniform((0.7, 1.0, 0.1), (1.2, 1.5, 0.2))
+    row_v = rng.uniform(0.3, 0.8) * half_m[1] * canvas.either(-1, 1)
+    frame, pane = canvas.pick(_FRAMES), canvas.pick(_FRAMES if large else _PANES)
+    rings = ((0.0, frame, rise_m), (0.3, frame * 0.6, 0.0), (0.45, pane, 0.0))
+    for u_m in np.arange(0.5 - half_m[0], half_m[0] - 0.5, width_m + rng.uniform(0.8, 3)).tolist():
+        for inset_m, tone, higher_m in rings:
+            spot = beside(place, angle_rad, u_m, row_v)
+            ring = canvas.rectangle(spot, (width_m - inset_m, length_m - inset_m), angle_rad)
+            canvas.raise_to(ring, canvas.height[ring.rows, ring.columns] + higher_m)
+            canvas.paint(ring, tone * rng.uniform(0.9, 1.1))
+
+
+def _add_ridge(canvas: Canvas, place: Place, angle_rad: float) -> None:
+    """Puts a ribbed, rounded box for light or air on a flat roof."""
+    width_m = canvas.rng.uniform(1.0, 1.5)
+    ridge = canvas.rectangle(place, (canvas.rng.uniform(3.5, 5.5), width_m), angle_rad)
+    arch = np.sqrt(np.clip(1 - (2 * ridge.v / width_m) ** 2, 0, 1))
+    canvas.raise_to(ridge, canvas.base_height(place) + 0.3 + 0.6 * arch)
+    ribs = np.where(np.mod(ridge.u, 0.75) < 0.14, 0.7, 1.0)
+    canvas.paint(ridge, canvas.pick(_FRAMES) * canvas.rng.uniform(0.4, 0.9) * ribs[..., None])
 
 
 def _chimney(canvas: Canvas, place: Place, angle_rad: float) -> None:
@@ -130,7 +140,15 @@ def _chimney(canvas: Canvas, place: Place, angle_rad: float) -> None:
 
 
 def _solar_panels(canvas: Canvas, place: Place, size_m: Place, angle_rad: float) -> None:
+    """Lays rows of solar panels, with gaps between rows and where panels are missing."""
+    rng = canvas.rng
     patch = canvas.rectangle(place, size_m, angle_rad)
-    lines = (np.mod(patch.u, 1.0) < 0.1) | (np.mod(patch.v, 1.65) < 0.1)
-    colour = np.where(lines[..., None], reflectance((150, 156, 165)), reflectance((34, 40, 62)))
-    canvas.paint(patch, colour)
+    long_m, deep_m = canvas.either((1.0, 1.65), (1.65, 1.0))
+    row_m = deep_m + canvas.either(0.0, 0.2, rng.uniform(0.2, 0.8))
+    along, across = np.mod(patch.u, long_m), np.mod(patch.v, row_m)
+    number = (31 * np.floor(patch.u / long_m) + 7 * np.floor(patch.v / row_m)).astype(int) % 400
+    laid = (rng.random(400) < canvas.either(0.8, 0.95, 1.0))[number] & (across < deep_m)
+    lines = (along < 0.1) | (across < 0.1)
+    module = canvas.pick(_MODULES) * np.exp(rng.normal(0, 0.15, 400))[number][..., None]
+    colour = np.where(lines[..., None], reflectance((150, 156, 165)), module)
+    canvas.paint(patch, colour, laid)

@@ -218,7 +218,7 @@ class Canvas:
     def raise_to(self, patch: Patch, height_m: float | Array) -> None:
         """Raises the height to `height_m` above the ground, where what stands there is lower."""
         region = self.height[patch.rows, patch.columns]
-        height_m = np.where(patch.coverage > 0.5, height_m, 0)
+        height_m = np.where(patch.coverage > 0.5, height_m, -np.inf)
         np.maximum(region, height_m, out=region, casting="same_kind")
 
     def allow(

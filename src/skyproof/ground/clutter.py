@@ -13,7 +13,7 @@ from skyproof.vehicles.paints import PAINT_SHARES, PAINT_TONES
 _PAINT_NAMES = tuple(PAINT_SHARES)
 _PAINT_SHARES = np.asarray([PAINT_SHARES[name] for name in _PAINT_NAMES])
 
-_CONDITIONERS = palette("bec0c0 96989a")
+_CONDITIONERS = palette("bec0c0 96989a ecece8")
 _RUBBLE = palette("6e645a 5e5852 968c7e")
 _SHEDS = palette("786048 5a5856 bec4c6 686a6c 96785a")
 _SURROUNDS = palette("c8c0b2 aaa094")
@@ -21,6 +21,7 @@ _WATERS = palette("5aaabe 468caa 3c6464")
 _PALLETS = palette("aa8c64 8c765a c8ccce 3c3e42")
 _BINS = palette("3c4c3c 34383e 5a4a38 3c5078")
 _BENCHES = palette("96785a 6e645c")
+_GIRDERS = palette("b01c3c c87828 e4e4dc d8d8d0 b8bcb8 7c3028")
 
 
 def add_lamp_post(canvas: Canvas, place: Place) -> None:
@@ -59,11 +60,11 @@ def _box(
 
 def add_air_conditioner(canvas: Canvas, place: Place, angle_rad: float) -> None:
     """Adds a pale box with dark fans."""
-    length_m = canvas.rng.uniform(1.0, 3.2)
-    width_m = canvas.rng.uniform(0.9, 1.6)
+    length_m, width_m = canvas.rng.uniform(1.0, 3.2), canvas.rng.uniform(0.9, 1.6)
+    fan_m = canvas.either(0.17, 0.33)
     _box(canvas, place, (length_m, width_m, 0.9), angle_rad, canvas.pick(_CONDITIONERS))
-    for u_m in np.arange(-length_m / 2 + 0.55, length_m / 2 - 0.4, 1.0).tolist():
-        fan = canvas.disc(beside(place, angle_rad, u_m, 0.0), 0.33)
+    for u_m in np.arange(-length_m / 2 + 0.55, length_m / 2 - 0.4, 3 * fan_m).tolist():
+        fan = canvas.disc(beside(place, angle_rad, u_m, 0.0), fan_m)
         canvas.paint(fan, reflectance((62, 64, 66)))
 
 
@@ -139,15 +140,38 @@ def add_kiosk(canvas: Canvas, place: Place, angle_rad: float) -> None:
 
 
 def add_stairs(canvas: Canvas, place: Place, angle_rad: float) -> None:
-    """Adds stairs that lead below the ground: dark steps between bright walls."""
-    size_m = (canvas.rng.uniform(3.0, 6.0), canvas.rng.uniform(1.8, 3.2))
-    _box(canvas, place, (*size_m, 1.0), angle_rad, canvas.pick(_SURROUNDS))
-    shaft = canvas.rectangle(place, (size_m[0] - 0.5, size_m[1] - 0.5), angle_rad)
-    if not shaft.empty:
-        steps = np.where(np.mod(shaft.u, 0.32) < 0.12, 0.55, 1.0)
-        deeper = 1 - canvas.rng.uniform(0.3, 0.9) * np.clip(0.5 + shaft.u / size_m[0], 0, 1)
-        tone = canvas.pick(_CONDITIONERS) * np.float32(0.5)
-        canvas.paint(shaft, tone * (steps * deeper)[..., None].astype(np.float32))
+    """Adds stairs that lead below the ground: fine steps between parapets, signs at their end."""
+    rng = canvas.rng
+    length_m, width_m, wall_m = rng.uniform(6, 11.5), rng.uniform(3.0, 4.8), rng.uniform(0.3, 0.5)
+    tone = canvas.pick((*_SURROUNDS, (156, 80, 72)))
+    canvas.forbid(_box(canvas, place, (length_m, width_m, 1.0), angle_rad, tone))
+    # The upper end has no parapet.
+    middle = beside(place, angle_rad, -wall_m / 2, 0.0)
+    shaft = canvas.rectangle(middle, (length_m - wall_m, width_m - 2 * wall_m), angle_rad)
+    down = np.clip(0.5 + shaft.u / length_m, 0, 1)
+    depth = canvas.height[shaft.rows, shaft.columns]
+    np.copyto(depth, rng.uniform(-3.5, -1.0) * down, where=shaft.inside > 0)
+    landing = np.abs(shaft.u - rng.uniform(-0.4, 0.4) * length_m) < rng.uniform(0, 1.2)
+    steps = np.where((np.mod(shaft.u, 0.36) < 0.14) & ~landing, 0.45, 1.0)
+    tone = canvas.pick(_CONDITIONERS) * rng.uniform(0.5, 0.9)
+    canvas.paint(shaft, tone * (steps * (1 - rng.uniform(0.2, 0.9) * down**2))[..., None])
+    if rng.random() < 0.6:
+        _box(canvas, place, (length_m - 2, 0.15, 1.5), angle_rad, canvas.pick(_CONDITIONERS))
+    for v_m in np.arange(0.4, width_m * rng.uniform(0, 1), 0.6).tolist():
+        spot = beside(place, angle_rad, length_m / 2 + rng.uniform(-0.1, 0.2), v_m - width_m / 2)
+        _box(canvas, spot, (0.4, rng.uniform(0.4, 0.6), 0.8), angle_rad, canvas.pick(_GIRDERS))
+
+
+def add_girders(canvas: Canvas, place: Place, angle_rad: float) -> None:
+    """Adds girders side by side over dark gaps, as on building sites and in tram depots."""
+    rng = canvas.rng
+    count, pitch_m, length_m = rng.integers(4, 10), rng.uniform(0.5, 0.8), rng.uniform(4, 8)
+    canvas.shade(canvas.rectangle(place, (0.9 * length_m, count * pitch_m), angle_rad), 0.25)
+    tones = [canvas.pick(_GIRDERS) for _ in range(3)]
+    for i in range(count):
+        spot = beside(place, angle_rad, rng.normal(0, 0.3), (i - (count - 1) / 2) * pitch_m)
+        size_m = (length_m * rng.uniform(0.7, 1), rng.uniform(0.2, 0.4), rng.uniform(0.4, 1.2))
+        _box(canvas, spot, size_m, angle_rad + rng.normal(0, 0.03), canvas.either(*tones))
 
 
 def add_rubble(canvas: Canvas, place: Place, angle_rad: float) -> None:
@@ -202,6 +226,7 @@ CLUTTER: dict[str, Callable[[Canvas, Place, float], None]] = {
     "bench": add_bench,
     "bins": add_bins,
     "container": add_container,
+    "girders": add_girders,
     "kiosk": add_kiosk,
     "painted box": add_painted_box,
     "pallets": add_pallets,
@@ -277,6 +302,11 @@ def add_bush(canvas: Canvas, place: Place, radius_m: float) -> None:
     canvas.raise_to(patch, np.clip(0.9 * radius_m * dome + 0.2 * clumps, 0, 2.5))
     colour = canvas.pick(CROWN_COLOURS, 0.2)
     canvas.paint(patch, colour * np.exp(0.25 * clumps + 0.25 * leaves)[..., None])
+    # Blossom, stones or litter lie beside some.
+    for _ in range(canvas.either(0, 0, 0, 0, 0, 0, 4, 9)):
+        u_m, v_m = radius_m * canvas.rng.normal((0.8, 0.0), 0.35)
+        speck = canvas.disc((place[0] + u_m, place[1] + v_m), canvas.rng.uniform(0.1, 0.3), 0.4)
+        canvas.paint(speck, reflectance((240, 240, 234)))
 
 
 def add_hedge(canvas: Canvas, place: Place, length_m: float, angle_rad: float) -> None:

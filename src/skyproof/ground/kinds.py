@@ -12,6 +12,7 @@ from skyproof.ground.clutter import (
     add_clutter,
     add_hedge,
     add_lamp_post,
+    add_stairs,
     add_stand,
     add_tree,
 )
@@ -32,7 +33,7 @@ from skyproof.ground.surfaces import (
 )
 
 _LINE = reflectance((230, 228, 220))
-_STREET_THINGS = ("kiosk", "kiosk", "stairs", "stairs", "rubble", "bench", "bins")
+_STREET_THINGS = ("kiosk", "kiosk", "girders", "rubble", "bench", "bins")
 _COURTS = palette("783c32 325a50 3c5078 787878")
 
 
@@ -120,8 +121,11 @@ def draw_crossroads(canvas: Canvas) -> None:
         draw = rng.random()
         if draw < 0.6:
             add_building(canvas, corner, size_m, 0.0, canvas.either("flat", "tiled", "metal"))
-        elif draw < 0.9:
+        elif draw < 0.85:
             add_stand(canvas, corner, rng.uniform(3, 9))
+        elif draw < 0.95:
+            u_m, v_m = other_m / 2 + pavement_m + 7, width_m / 2 + pavement_m + 2.6
+            add_stairs(canvas, (side_u * u_m, side_v * v_m), canvas.either(0, math.pi))
     add_pavement(canvas, across, 0.0, other_m, pavement_m)
     add_pavement(canvas, ground, 0.0, width_m, pavement_m)
     colour = canvas.pick(ASPHALT)
@@ -131,14 +135,13 @@ def draw_crossroads(canvas: Canvas) -> None:
     second = canvas.band(across, 0.0, other_m + 0.4)
     junction = dataclasses.replace(first, coverage=first.coverage * second.coverage)
     lay_asphalt(canvas, junction, colour)
-    for along, crossed, own_m, crossed_m in (
-        (ground, second, width_m, other_m),
-        (across, first, other_m, width_m),
-    ):
+    for along, own_m, crossed_m in ((ground, width_m, other_m), (across, other_m, width_m)):
         _mark_crossing(canvas, canvas.band(along, 0.0, own_m - 0.6), crossed_m)
-        if rng.random() < 0.6:
-            # A path for cycles or for feet runs beside the road, and crosses the other one.
-            mark_guides(canvas, along, canvas.either(-1, 1) * (own_m / 2 + 1.5), crossed)
+    for _ in range(rng.integers(2, 7)):
+        # Paths for cycles or for feet cross the roads, and lines guide those who turn.
+        place = (rng.uniform(-0.7, 0.7) * other_m, rng.uniform(-0.7, 0.7) * width_m)
+        turn_rad = canvas.either(0, math.pi / 2, rng.uniform(0, math.pi))
+        mark_guides(canvas, place, turn_rad, canvas.either(first, second, junction))
     for _ in range(rng.integers(1, 4)):
         spot = (canvas.either(-1, 1) * (other_m / 2 + 6), rng.normal(0, width_m / 3))
         add_clutter(canvas, spot, 0.0, "painted box", "painted box", "skip", "pallets")
@@ -207,7 +210,9 @@ def draw_car_park(canvas: Canvas) -> None:
         lay_paving(canvas, forecourt)
         canvas.forbid(forecourt)
         place = (rng.uniform(-10, 10), side_v)
-        add_building(canvas, place, size_m, 0.0, canvas.either("flat", "metal"))
+        add_building(canvas, place, size_m, 0.0, canvas.either("flat", "metal", "tiled"))
+    if rng.random() < 0.3:
+        add_stairs(canvas, (rng.uniform(-16, 16), rng.uniform(-16, 16)), canvas.either(0, math.pi))
 
 
 def _fill_bays(
@@ -250,7 +255,7 @@ def draw_yard(canvas: Canvas) -> None:
         size_m = (rng.uniform(14, 40), rng.uniform(10, 24))
         kind = canvas.either("metal", "flat", "metal", "village")
         add_building(canvas, place, size_m, 0.0, kind)
-    goods = ("container", "container", "pallets", "skip", "painted box")
+    goods = ("container", "container", "pallets", "skip", "painted box", "girders")
     kinds = (*goods, "tarpaulin", "air conditioner", "shed", "bins", "rubble", "kiosk")
     for _ in range(rng.integers(8, 26)):
         place = (rng.uniform(-1, 1) * canvas.reach_m, rng.normal(0, 9))
@@ -352,11 +357,11 @@ def draw_park(canvas: Canvas) -> None:
     for _ in range(rng.integers(10, 50)):
         place = (rng.uniform(-1, 1) * canvas.reach_m, rng.uniform(-1, 1) * canvas.reach_m)
         if canvas.noise("patch").flat[0] < woods:
-            add_tree(canvas, place, rng.uniform(1.2, 5))
+            (add_tree if rng.random() < 0.7 else add_bush)(canvas, place, rng.uniform(1.0, 4))
     for _ in range(rng.integers(0, 3)):
         place = (rng.uniform(-30, 30), rng.uniform(-30, 30))
         add_stand(canvas, place, rng.uniform(4, 12))
-    kinds = ("bench", "bench", "bins", "shed", "tarpaulin", "painted box", "kiosk", "stairs")
+    kinds = ("bench", "bench", "bins", "shed", "tarpaulin", "painted box", "kiosk")
     for _ in range(rng.integers(2, 9)):
         place = (rng.uniform(-25, 25), rng.uniform(-25, 25))
         add_clutter(canvas, place, rng.uniform(0, math.pi), *kinds)

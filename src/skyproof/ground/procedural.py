@@ -121,7 +121,7 @@ def sunlight(canvas: Canvas) -> tuple[Array, Array]:
     height, n = canvas.height, canvas.pixels
     horizon = np.full_like(height, -1e3)
     distance_px = 1.0
-    furthest_px = min(float(height.max()) / tangent / canvas.gsd_m + 1, n - 1)
+    furthest_px = min(float(np.ptp(height)) / tangent / canvas.gsd_m + 1, n - 1)
     while distance_px <= furthest_px:
         dx = round(distance_px * step_x)
         dy = round(distance_px * step_y)

@@ -22,30 +22,31 @@ def mark(canvas: Canvas, patch: Patch, where: float | Array = 1.0) -> None:
 def mark_lanes(canvas: Canvas, road: Patch, width_m: float, lanes: int) -> None:
     """Marks lines between the lanes of a road along u, dashed, solid or none, and at its edges."""
     rng = canvas.rng
-    style = rng.choice(["none", "dashed", "solid"], p=[0.25, 0.55, 0.2])
+    style = rng.choice(["none", "dashed", "solid"], p=[0.15, 0.65, 0.2])
     dashes_m = _dashes(rng)
     for lane in range(1, lanes):
-        line = canvas.band(road, (lane / lanes - 0.5) * width_m, rng.uniform(0.12, 0.2))
+        line = canvas.band(road, (lane / lanes - 0.5) * width_m, rng.uniform(0.12, 0.15))
         if style != "none":
             mark(canvas, line, _dashed(line, *dashes_m) if style == "dashed" else 1.0)
     if rng.random() < 0.45:
         # The edge of some roads is a cycle lane's, and dashed.
-        inset_m = 0.35 if rng.random() < 0.6 else rng.uniform(1.2, 2.0)
+        inset_m = 0.35 if rng.random() < 0.6 else rng.uniform(1.5, 2.4)
         dashes_m = _dashes(rng) if rng.random() < 0.4 else (1.0, 0.0)
         for side in (-1, 1):
             line = canvas.band(road, side * (width_m / 2 - inset_m), 0.12)
             mark(canvas, line, _dashed(line, *dashes_m))
 
 
-def mark_guides(canvas: Canvas, along: Patch, centre_v_m: float, crossed: Patch) -> None:
-    """Marks a pair of dashed lines, or of rows of squares, that lead a path across a road."""
+def mark_guides(canvas: Canvas, place: Place, angle_rad: float, crossed: Patch) -> None:
+    """Marks one or two dashed or dotted lines through a place, as far as `crossed` reaches."""
     rng = canvas.rng
-    apart_m = rng.uniform(1.6, 4.6)
-    width_m = canvas.either(0.12, 0.2, 0.25, 0.5)
-    dashes_m = (width_m, width_m) if width_m > 0.4 else _dashes(rng)
-    for side in (-1, 1):
-        line = canvas.band(along, centre_v_m + side * apart_m / 2, width_m)
-        mark(canvas, line, _dashed(line, *dashes_m) * crossed.coverage)
+    width_m, dot_m = canvas.either(0.12, 0.15, 0.25, 0.4), rng.uniform(0.3, 0.5)
+    apart_m = width_m + rng.uniform(0.4, canvas.either(0.6, 2.5, 4.0))
+    dashes_m = (dot_m, dot_m) if width_m > 0.2 or rng.random() < 0.4 else _dashes(rng)
+    for side in canvas.either((-1, 1), (-1, 1), (0,)):
+        middle = beside(place, angle_rad, 0.0, side * apart_m / 2)
+        line = canvas.rectangle(middle, (30.0, width_m), angle_rad)
+        mark(canvas, line, _dashed(line, *dashes_m) * crossed.coverage[line.rows, line.columns])
 
 
 def mark_bays(canvas: Canvas, road: Patch, width_m: float) -> None:
@@ -72,7 +73,9 @@ def mark_arrow(canvas: Canvas, place: Place, angle_rad: float) -> None:
 
 
 def _dashes(rng: np.random.Generator) -> tuple[float, float]:
-    """Draws the lengths of a line's dashes and gaps, from half a metre to twelve."""
+    """Draws the lengths of a line's dashes and gaps, often those of lanes on most roads."""
+    if rng.random() < 0.5:
+        return 3.0, rng.uniform(3.0, 6.0)
     dash_m = math.exp(rng.uniform(math.log(0.5), math.log(6.0)))
     return dash_m, dash_m * rng.uniform(0.6, 2.2)
 
@@ -197,6 +200,9 @@ def add_road(
     mark_lanes(canvas, road, width_m, lanes)
     if kerbed and width_m >= PARKED_ALONG_M and rng.random() < 0.3:
         mark_bays(canvas, road, width_m)
+    if kerbed and rng.random() < 0.4:
+        place = (rng.uniform(-0.5, 0.5) * canvas.reach_m, centre_v_m)
+        mark_guides(canvas, place, rng.uniform(0.4, 2.7), road)
     for _ in range(rng.poisson(1.0) if kerbed else 0):
         v_m = centre_v_m + ((rng.integers(lanes) + 0.5) / lanes - 0.5) * width_m
         turn_rad = canvas.either(0, math.pi)
