@@ -37,7 +37,7 @@ SKY = (0.2, 0.25, 0.35)
 @pytest.fixture(scope="module")
 def ground(tmp_path_factory):
     folder = tmp_path_factory.mktemp("ground")
-    return write_procedural_backgrounds(folder, {"test": 8}, 240, seed=3)
+    return write_procedural_backgrounds(folder, {"test": 8}, 240, seed=8)
 
 
 @cache
