@@ -14,7 +14,12 @@ import pytest
 import torch
 from detector_images import bar_images, needs_yolo
 from safetensors.torch import load_file, save_file
-from torchvision.models.detection import fasterrcnn_mobilenet_v3_large_fpn, maskrcnn_resnet50_fpn
+from torchvision.models.detection import (
+    MaskRCNN,
+    fasterrcnn_mobilenet_v3_large_fpn,
+    maskrcnn_resnet50_fpn,
+)
+from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
 
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.card import read_card
@@ -134,6 +139,23 @@ def test_wrappings_of_programs_that_train(
     assert found.keys() == state.keys()
     assert all(torch.equal(found[name], state[name]) for name in state)
     assert origin == f"torchvision checkpoint vehicles.pth{said}"
+
+
+def test_a_mask_rcnn_is_imported_without_its_masks(tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    backbone = resnet_fpn_backbone(backbone_name="resnet18", weights=None)
+    network = MaskRCNN(backbone, 2).eval()
+    path = tmp_path / "cars.pth"
+    torch.save({"model": network.state_dict()}, path)
+    asked = Checkpoint(path, "torchvision", ("1",), "maskrcnn_resnet18_fpn")
+    plan, state, origin = read_blueprint(asked, 1.0)
+    masks = [name for name in network.state_dict() if ".mask_" in name]
+    assert masks
+    assert state.keys() == network.state_dict().keys() - {*masks}
+    assert origin.endswith(f"cars.pth, without {len(masks)} tensors beside the network")
+    assert plan.classes == ["0", "1"]
+    with pytest.raises(ConfigurationError, match="from 1 to 1"):
+        read_blueprint(replace(asked, vehicle_classes=("0",)), 1.0)
 
 
 def begun(prefix: str, state: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:

@@ -30,8 +30,9 @@ class Import:
             (torchvision; COCO: 3 car, 6 bus, 8 truck).
         validation: dataset folder that freezes the threshold, at the resolution of later use.
         out: detector folder to write.
-        architecture: torchvision's name of the architecture: {retinanet,fasterrcnn}_resnet50_fpn or
-            ..._fpn_v2, fasterrcnn_mobilenet_v3_large_fpn or ..._320_fpn, or fcos_resnet50_fpn.
+        architecture: torchvision's name, such as retinanet_resnet50_fpn: fasterrcnn, maskrcnn or
+            retinanet on resnet18, 34, 50, 101 or 152, ..._resnet50_fpn_v2, fcos_resnet50_fpn,
+            fasterrcnn_mobilenet_v3_large_fpn or ..._320_fpn.
         gsd: metres per pixel that the detector was made for, if it is not that of the images.
         name: name in tables; the last part of `--out` by default.
         device: auto, cpu or cuda.

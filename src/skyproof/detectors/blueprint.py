@@ -16,14 +16,19 @@ from skyproof.documents import in_words
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import check_ranges
 
+_BY_BACKBONE = [
+    f"{family}_{backbone}_fpn"
+    for family in ("fasterrcnn", "maskrcnn", "retinanet")
+    for backbone in ("resnet18", "resnet34", "resnet50", "resnet101", "resnet152")
+]
 ARCHITECTURES = (
     "fasterrcnn_mobilenet_v3_large_320_fpn",
     "fasterrcnn_mobilenet_v3_large_fpn",
-    "fasterrcnn_resnet50_fpn",
     "fasterrcnn_resnet50_fpn_v2",
     "fcos_resnet50_fpn",
-    "retinanet_resnet50_fpn",
+    "maskrcnn_resnet50_fpn_v2",
     "retinanet_resnet50_fpn_v2",
+    *_BY_BACKBONE,
 )
 # The heads of Ultralytics that skyproof can read, and whether their boxes are turned.
 HEADS = {"Detect": False, "OBB": True, "OBB26": True, "v10Detect": False}

@@ -176,10 +176,12 @@ def _torchvision(
         )
     count, prefix = class_rows(checkpoint.architecture, state)
     own = {name.removeprefix(prefix): state[name] for name in state if name.startswith(prefix)}
+    masks = "roi_heads.mask_" if checkpoint.architecture.startswith("maskrcnn") else ()
+    own = {name: tensor for name, tensor in own.items() if not name.startswith(masks)}
     state.clear()
     state.update(own)
     # Faster R-CNN's class 0 is the background.
-    first = 1 if checkpoint.architecture.startswith("fasterrcnn") else 0
+    first = 1 if checkpoint.architecture.startswith(("fasterrcnn", "maskrcnn")) else 0
     try:
         numbers = [int(word) for word in checkpoint.vehicle_classes]
     except ValueError:

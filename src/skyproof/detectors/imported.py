@@ -10,6 +10,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 from torchvision.models import detection
+from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
+from torchvision.ops.feature_pyramid_network import LastLevelP6P7
 
 from skyproof.detectors.anchor_detector import AnchorDetector
 from skyproof.detectors.blueprint import ARCHITECTURES, Blueprint
@@ -40,6 +42,7 @@ DEVIATION = (0.229, 0.224, 0.225)
 # The layer with one row per class, or one per class and each of nine anchors.
 _CLASS_ROWS = {
     "fasterrcnn": ("roi_heads.box_predictor.cls_score.bias", 1),
+    "maskrcnn": ("roi_heads.box_predictor.cls_score.bias", 1),
     "fcos": ("head.classification_head.cls_logits.bias", 1),
     "retinanet": ("head.classification_head.cls_logits.bias", 9),
 }
@@ -167,19 +170,38 @@ def _network(blueprint: Blueprint) -> TorchvisionDetector | YoloNetwork | Anchor
             )
         return network
     # torchvision's never resizes here.
-    model = getattr(detection, blueprint.architecture)(
-        weights=None, weights_backbone=None, num_classes=len(blueprint.classes)
-    )
+    model = _torchvision_model(blueprint.architecture, len(blueprint.classes))
     for layer in model.backbone.modules():
         if blueprint.norm_eps is not None and isinstance(layer, nn.BatchNorm2d):
             layer.eps = blueprint.norm_eps
     families = {
         "fasterrcnn": ImportedFasterRcnn,
+        "maskrcnn": ImportedFasterRcnn,
         "fcos": ImportedFcos,
         "retinanet": _ImportedRetinaNet,
     }
     family = families[blueprint.architecture.partition("_")[0]]
     return family(model, tuple(blueprint.vehicle_classes))
+
+
+def _torchvision_model(architecture: str, classes: int) -> Any:
+    """A network as torchvision builds it; of Mask R-CNN the part that finds boxes."""
+    architecture = architecture.replace("maskrcnn", "fasterrcnn")
+    if hasattr(detection, architecture):
+        build = getattr(detection, architecture)
+        return build(weights=None, weights_backbone=None, num_classes=classes)
+    family, backbone, _ = architecture.split("_")
+    if family == "fasterrcnn":
+        pyramid = resnet_fpn_backbone(backbone_name=backbone, weights=None)
+        return detection.FasterRCNN(pyramid, classes)
+    # The levels are those of torchvision's RetinaNet on ResNet-50.
+    pyramid = resnet_fpn_backbone(
+        backbone_name=backbone,
+        weights=None,
+        returned_layers=[2, 3, 4],
+        extra_blocks=LastLevelP6P7(256, 256),
+    )
+    return detection.RetinaNet(pyramid, classes)
 
 
 def class_rows(architecture: str, state: Mapping[str, Tensor]) -> tuple[int, str]:
