@@ -1,7 +1,5 @@
 """The answers that a finished run prints: shares hidden, verdicts, and the strength of attacks."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 
 from msgspec import Struct

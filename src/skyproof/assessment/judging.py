@@ -1,7 +1,5 @@
 """The steps that measure: precheck, test of the camouflages, and the report."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A run folder and its steps: each is done once, and kept when the same run is repeated."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

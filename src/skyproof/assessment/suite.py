@@ -1,7 +1,5 @@
 """The suites of attacks of `skyproof assess` and of the demo: frozen, so that versions compare."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace

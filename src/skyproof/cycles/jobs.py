@@ -1,7 +1,5 @@
 """The job of a Blender process: a crop around a vehicle, in daylight, as numbers and arrays."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json
@@ -185,7 +183,7 @@ def crop_jobs(
 
 
 @cache
-def _worker_hash() -> hashlib._Hash:
+def _worker_hash() -> "hashlib._Hash":
     """The hash of the worker's text, read once: every job's digest begins with it."""
     return hashlib.sha256(_WORKER.read_bytes())
 

@@ -1,7 +1,5 @@
 """Tables of numbers as CSV, and a page of headings, paragraphs and tables as Markdown."""
 
-from __future__ import annotations
-
 import csv
 import io
 import re
@@ -81,7 +79,7 @@ def at_equal_alarms(results: Results, row: Result | None) -> dict[str, Any]:
     return cells
 
 
-def equal_alarm_columns(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, Cell]]:
+def equal_alarm_columns(rows: Sequence[Mapping[str, Any]]) -> "list[tuple[str, Cell]]":
     """Shows what `at_equal_alarms` gave to any of the rows."""
     return [
         (f"{words} at {alarms}/km²", rate(f"{key}_at_{name}"))
@@ -113,7 +111,7 @@ class TextTable:
     @classmethod
     def of(
         cls, rows: Iterable[Mapping[str, Any]], columns: Sequence[tuple[str, str | Cell]]
-    ) -> TextTable:
+    ) -> "TextTable":
         """Shows columns of rows, each under its heading; a key stands for the value as it is."""
         cells = [
             [str(row[cell]) if isinstance(cell, str) else cell(row) for _, cell in columns]
@@ -151,7 +149,7 @@ class Topic:
     @classmethod
     def of(
         cls, heading: str, tables: Mapping[str, Sequence[Mapping[str, Any]]], *blocks: Block
-    ) -> Topic:
+    ) -> "Topic":
         """Gives rows by the names of their tables, and blocks below a heading; "" says nothing."""
         said = [block for block in blocks if block]
         return cls([Table(*table) for table in tables.items()], [Heading(heading), *said])

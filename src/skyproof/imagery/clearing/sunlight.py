@@ -1,7 +1,5 @@
 """Tells sun or clouds over a flight by where, and how sharply, its vehicles' shadows end."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """Finds vehicles by a detector, and masks them with their shadows, measured in the pictures."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -206,7 +204,7 @@ class VehicleFinder:
     _threads: int = field(default_factory=torch.get_num_threads, repr=False, compare=False)
 
     @classmethod
-    def of_folder(cls, detector: Detector, folder: Path, device: torch.device) -> VehicleFinder:
+    def of_folder(cls, detector: Detector, folder: Path, device: torch.device) -> "VehicleFinder":
         """Names a detector by its folder and its weights' digest, and moves it to a device."""
         if not isinstance(detector, TrainableDetector):
             return cls(detector, f"{folder} (by its answers)")

@@ -1,7 +1,5 @@
 """Reads labels on the ground: points and outlines of GeoJSON, GeoPackage and Shapefile."""
 
-from __future__ import annotations
-
 import re
 import warnings
 from collections.abc import Mapping, Sequence
@@ -132,7 +130,7 @@ def _is_ignored(record: Mapping[str, Any]) -> bool:
 
 def _read_layer(
     place: Path | str, path: Path, wanted: Sequence[str]
-) -> tuple[GeoDataFrame, tuple[str, ...]]:
+) -> "tuple[GeoDataFrame, tuple[str, ...]]":
     """Reads the one layer of a vector file that may hold labels, and tells of the others."""
     # Loaded only for labels on the ground: it takes a second.
     import geopandas

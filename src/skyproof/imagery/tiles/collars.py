@@ -1,7 +1,5 @@
 """Finds the empty collar around a warped or cut orthophoto that declares no nodata value."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
