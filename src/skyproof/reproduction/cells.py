@@ -10,6 +10,7 @@ from typing import Any
 from skyproof.results.operating_points import EQUAL_ALARMS
 from skyproof.results.result import Result
 from skyproof.results.results import Results
+from skyproof.results.rows_file import interval_columns
 from skyproof.results.statistics.intervals import Interval
 from skyproof.words import detector_name
 
@@ -49,11 +50,8 @@ class Table:
 
 def interval_cells(name: str, interval: Interval, scale: float = 1.0) -> dict[str, float]:
     """Gives an interval's three columns."""
-    return {
-        name: scale * interval.estimate,
-        f"{name}_low": scale * interval.low,
-        f"{name}_high": scale * interval.high,
-    }
+    columns = interval_columns(name, interval)
+    return {column: scale * value for column, value in columns.items()}
 
 
 def in_percent(row: Result | None) -> dict[str, Any]:
