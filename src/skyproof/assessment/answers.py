@@ -119,8 +119,7 @@ def say_expected(layout: Layout, suite: Suite) -> None:
 
 
 def _read(layout: Layout) -> _Answers:
-    answers: _Answers = read_document(layout.results, _Answers, "give the same command again")
-    return answers
+    return read_document(layout.results, _Answers, "give the same command again")
 
 
 def _where(renderer: str) -> str:

@@ -112,13 +112,12 @@ def run_assessment(
     except RunEnded as ended:
         say_verdict(its.layout)
         say(str(ended))
-        say(f"Report: {its.layout.report.resolve()}")
-        return its.layout.report
-    say_answers(its.layout, its.suite.attacks)
-    if its.layout.verdict.exists():
-        say_verdict(its.layout)
-    if not request.imagery and request.seed == 0 and len(its.names) == 1:
-        say_expected(its.layout, its.suite)
+    else:
+        say_answers(its.layout, its.suite.attacks)
+        if its.layout.verdict.exists():
+            say_verdict(its.layout)
+        if not request.imagery and request.seed == 0 and len(its.names) == 1:
+            say_expected(its.layout, its.suite)
     say(f"Report: {its.layout.report.resolve()}")
     return its.layout.report
 

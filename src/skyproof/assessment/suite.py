@@ -121,8 +121,7 @@ class Suite:
 
 def read_suite(path: Path = SUITE) -> Suite:
     """Reads a suite that comes with this version of skyproof."""
-    suite: Suite = read_document(path, Suite, "install skyproof again")
-    return suite
+    return read_document(path, Suite, "install skyproof again")
 
 
 def texture_under(name: CamouflageName) -> str:
