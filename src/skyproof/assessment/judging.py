@@ -5,14 +5,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from skyproof.assessment.preparing import VEHICLE_CLASSES, YOURS
-from skyproof.assessment.run import (
-    DETECT_S,
-    RENDER_S,
-    START_S,
-    RunEnded,
-    Step,
-    precheck_images,
-)
+from skyproof.assessment.run import DETECT_S, RENDER_S, START_S, RunEnded, Step, precheck_images
 from skyproof.assessment.subject import Subject
 from skyproof.cli.precheck import Precheck
 from skyproof.cli.score import Score

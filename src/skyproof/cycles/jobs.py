@@ -17,13 +17,7 @@ from torch import Tensor
 
 from skyproof.cycles.settings import CyclesSettings
 from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
-from skyproof.render.lighting import (
-    CLEAR,
-    OVERCAST,
-    SkyType,
-    relative_luminance,
-    sky_light,
-)
+from skyproof.render.lighting import CLEAR, OVERCAST, SkyType, relative_luminance, sky_light
 from skyproof.render.materials import material_labels, material_table, reflectance
 from skyproof.render.placed import Placed
 from skyproof.scenes.light import Light

@@ -24,12 +24,7 @@ _LOSSY_VALUES = 3
 _LOSSY_PX = 16
 _LOSSY_DRIVERS = ("JPEG", "JP2OpenJPEG", "VRT")
 """A VRT does not say how its images are compressed."""
-_LOSSY_COMPRESSIONS = (
-    Compression.jpeg,
-    Compression.jpeg2000,
-    Compression.webp,
-    Compression.lerc,
-)
+_LOSSY_COMPRESSIONS = (Compression.jpeg, Compression.jpeg2000, Compression.webp, Compression.lerc)
 
 
 @dataclass(frozen=True, eq=False)
