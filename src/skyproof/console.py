@@ -1,7 +1,5 @@
 """What the command line prints: stages, progress with time left, one sentence for an error."""
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """The device that a command works on."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from skyproof.errors import ConfigurationError
@@ -10,7 +8,7 @@ if TYPE_CHECKING:
     import torch
 
 
-def choose_device(name: str) -> torch.device:
+def choose_device(name: str) -> "torch.device":
     """Returns the device of that name; "auto" takes a CUDA device where there is one."""
     import torch
 

@@ -6,8 +6,6 @@ dataclasses, skips unwanted fields without keeping them, and needs no other pack
 keep the whole of a large annotation file in memory, and takes long to import.
 """
 
-from __future__ import annotations
-
 import codecs
 import re
 from collections.abc import Callable, Mapping

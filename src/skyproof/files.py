@@ -1,7 +1,5 @@
 """Writes so that a kill or a full disk never leaves a partial file under its final name."""
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import json
@@ -84,7 +82,7 @@ def finished_folder(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def alone(place: Path) -> Iterator[Hold]:
+def alone(place: Path) -> "Iterator[Hold]":
     """Locks a file or folder against other writers, in this process too.
 
     The lock is a file `.<name>.lock` beside the place; it names its holder. The holder's death

@@ -1,7 +1,5 @@
 """The paths in a run folder, in one place for its writers and readers."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +13,7 @@ class RunPath:
     def __init__(self, name: str) -> None:
         self._name = name
 
-    def __get__(self, layout: Layout, kind: type[Layout]) -> Path:
+    def __get__(self, layout: "Layout", kind: "type[Layout]") -> Path:
         return layout.folder / self._name
 
 

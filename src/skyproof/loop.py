@@ -1,7 +1,5 @@
 """One resumable loop for trainings and attacks, whose checkpoints survive a kill."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import time

@@ -1,7 +1,5 @@
 """The entry point of the `skyproof` command: one sub-command per job, one sentence per error."""
 
-from __future__ import annotations
-
 import ctypes
 import errno
 import os

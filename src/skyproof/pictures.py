@@ -1,7 +1,5 @@
 """The one way to open a picture: known formats, a size limit, errors of one sentence."""
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 
@@ -148,7 +146,7 @@ def decoded(
     *,
     error: type[SkyproofError] = StoredFileError,
     also: tuple[str, ...] = (),
-) -> UInt8[np.ndarray, ...]:
+) -> "UInt8[np.ndarray, ...]":
     """Decodes an open picture, perhaps one that a library found inside another file.
 
     `mode` is Pillow's: "L" gives bytes `[H, W]`, "RGB" and "RGBA" `[H, W, 3 or 4]`. `place` names

@@ -1,7 +1,5 @@
 """A separate generator for every purpose, from one seed of 64 bits, negative ones included."""
 
-from __future__ import annotations
-
 import torch
 
 

@@ -4,8 +4,6 @@ Settings and stored documents use the same annotations: `check_ranges` checks se
 `skyproof.documents` checks files. Imports no torch.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import fields

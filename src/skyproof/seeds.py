@@ -1,14 +1,12 @@
 """Seeds of 64 bits, negative ones included, without torch; see also `skyproof.randomness`."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     import numpy as np
 
 
-def numpy_generator(seed: int) -> np.random.Generator:
+def numpy_generator(seed: int) -> "np.random.Generator":
     """Returns NumPy's generator for a seed, negative ones included, which NumPy does not accept."""
     import numpy as np
 

@@ -1,7 +1,5 @@
 """Tensors in files: safetensors with a record beside the numbers, and no pickle."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Mapping
 from pathlib import Path

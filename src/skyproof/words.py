@@ -1,7 +1,5 @@
 """Numbers and names as words that a reader can trust."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 NAMES = {

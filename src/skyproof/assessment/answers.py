@@ -1,7 +1,5 @@
 """The answers that a finished run prints: shares hidden, verdicts, and the strength of attacks."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 
 from msgspec import Struct
@@ -121,8 +119,7 @@ def say_expected(layout: Layout, suite: Suite) -> None:
 
 
 def _read(layout: Layout) -> _Answers:
-    answers: _Answers = read_document(layout.results, _Answers, "give the same command again")
-    return answers
+    return read_document(layout.results, _Answers, "give the same command again")
 
 
 def _where(renderer: str) -> str:

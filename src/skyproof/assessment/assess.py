@@ -1,7 +1,5 @@
 """An assessment: its steps in their order, and the functions that run and plan it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -71,7 +69,7 @@ def assess_steps(its: Subject) -> Iterator[Step]:
 
 
 def _prepared(
-    request: Request, suite_file: Path, black_box: BlackBoxDetector | None
+    request: Request, suite_file: Path, black_box: "BlackBoxDetector | None"
 ) -> tuple[Subject, Run]:
     """Checks a request as far as its options tell, and gives its run, which is not begun."""
     its = subject_of(request, read_suite(suite_file), black_box)
@@ -94,7 +92,7 @@ def _prepared(
 
 @own_options()
 def run_assessment(
-    request: Request, suite_file: Path = SUITE, black_box: BlackBoxDetector | None = None
+    request: Request, suite_file: Path = SUITE, black_box: "BlackBoxDetector | None" = None
 ) -> Path:
     """Does all steps that are not finished, and prints the results; returns the report's path."""
     its, run = _prepared(request, suite_file, black_box)
@@ -114,13 +112,12 @@ def run_assessment(
     except RunEnded as ended:
         say_verdict(its.layout)
         say(str(ended))
-        say(f"Report: {its.layout.report.resolve()}")
-        return its.layout.report
-    say_answers(its.layout, its.suite.attacks)
-    if its.layout.verdict.exists():
-        say_verdict(its.layout)
-    if not request.imagery and request.seed == 0 and len(its.names) == 1:
-        say_expected(its.layout, its.suite)
+    else:
+        say_answers(its.layout, its.suite.attacks)
+        if its.layout.verdict.exists():
+            say_verdict(its.layout)
+        if not request.imagery and request.seed == 0 and len(its.names) == 1:
+            say_expected(its.layout, its.suite)
     say(f"Report: {its.layout.report.resolve()}")
     return its.layout.report
 
@@ -134,7 +131,7 @@ def plan_assessment(request: Request, suite_file: Path = SUITE) -> None:
 
 
 def assess(
-    detector: str | Path | Sequence[str | Path] | Detector | Answering,
+    detector: "str | Path | Sequence[str | Path] | Detector | Answering",
     out: str | Path,
     *,
     name: str | None = None,

@@ -1,7 +1,5 @@
 """The steps that make camouflages: attacks, controls, and query attacks."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`skyproof assess` and `skyproof demo`, and the request that they make: config.json holds it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -107,7 +105,7 @@ class Request:
     device: str = "auto"
 
     @property
-    def requirement(self) -> Requirement | None:
+    def requirement(self) -> "Requirement | None":
         """What decides whether a detector is accepted; None where nothing is asked."""
         from skyproof.results.statistics.acceptance import requirement_of
 

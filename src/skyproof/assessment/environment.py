@@ -1,7 +1,5 @@
 """The machine, versions and times of a run."""
 
-from __future__ import annotations
-
 import os
 import platform
 import subprocess

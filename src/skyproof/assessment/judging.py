@@ -1,20 +1,11 @@
 """The steps that measure: precheck, test of the camouflages, and the report."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
 from skyproof.assessment.preparing import VEHICLE_CLASSES, YOURS
-from skyproof.assessment.run import (
-    DETECT_S,
-    RENDER_S,
-    START_S,
-    RunEnded,
-    Step,
-    precheck_images,
-)
+from skyproof.assessment.run import DETECT_S, RENDER_S, START_S, RunEnded, Step, precheck_images
 from skyproof.assessment.subject import Subject
 from skyproof.cli.precheck import Precheck
 from skyproof.cli.score import Score

@@ -1,7 +1,5 @@
 """The first look at imagery, labels and detectors before any work, and the plan of a test."""
 
-from __future__ import annotations
-
 import math
 from collections import defaultdict
 from collections.abc import Iterator, Sequence

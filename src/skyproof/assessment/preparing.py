@@ -1,7 +1,5 @@
 """The steps before any attack: ground without vehicles, detectors with a threshold, test scenes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """A run folder and its steps: each is done once, and kept when the same run is repeated."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
@@ -242,8 +240,7 @@ class Run:
         place = self._layout.steps
         if not place.exists():
             return {}
-        kept: dict[str, _Kept] = read_document(place, dict[str, _Kept], "choose another --out")
-        return kept
+        return read_document(place, dict[str, _Kept], "choose another --out")
 
     def _keep(self, steps: Iterator[Step] | Sequence[Step]) -> None:
         """Adds steps to `steps.json`; earlier ones stay in it."""

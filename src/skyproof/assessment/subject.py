@@ -1,7 +1,5 @@
 """The detectors, ground and vehicles of an assessment, each loaded once; made from a request."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """The suites of attacks of `skyproof assess` and of the demo: frozen, so that versions compare."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -123,8 +121,7 @@ class Suite:
 
 def read_suite(path: Path = SUITE) -> Suite:
     """Reads a suite that comes with this version of skyproof."""
-    suite: Suite = read_document(path, Suite, "install skyproof again")
-    return suite
+    return read_document(path, Suite, "install skyproof again")
 
 
 def texture_under(name: CamouflageName) -> str:

@@ -14,13 +14,7 @@ from scipy import special
 from torch import Tensor
 
 from skyproof.attacks import held_out
-from skyproof.attacks.attack import (
-    add_gradients,
-    attack,
-    attack_weights,
-    descend,
-    make_optimiser,
-)
+from skyproof.attacks.attack import add_gradients, attack, attack_weights, descend, make_optimiser
 from skyproof.attacks.objective import frozen, target_scores
 from skyproof.attacks.settings import AttackSettings
 from skyproof.attacks.world import World
@@ -148,9 +142,7 @@ class Maker:
 
 
 def choose(
-    candidates: Sequence[Camouflage],
-    scenes: held_out.HeldOut,
-    progress: Callable[[int, int], None],
+    candidates: Sequence[Camouflage], scenes: held_out.HeldOut, progress: Callable[[int, int], None]
 ) -> tuple[Camouflage, dict[str, Any]]:
     """Chooses the camouflage that hides most vehicles on held-out scenes, mean over detectors.
 

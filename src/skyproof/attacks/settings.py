@@ -1,7 +1,5 @@
 """How a camouflage is optimised. Imports no torch, so that the command line answers at once."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
@@ -79,7 +77,7 @@ class AttackSettings:
             return _WITHOUT_GRADIENT * _CHOICE_SCENES * candidates
         return self.steps * self.batch_size * (_WITHOUT_GRADIENT if name.choice else 1.0)
 
-    def of_search(self) -> AttackSettings:
+    def of_search(self) -> "AttackSettings":
         """The settings of a random search: as many images, in larger steps, less ruled by luck."""
         images = self.steps * self.batch_size
         batch_size = min(max(self.batch_size, _SEARCH_BATCH_SIZE), images)

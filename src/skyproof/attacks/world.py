@@ -1,7 +1,5 @@
 """The world of an attack: ground, vehicles, light and camera, drawn anew at every step."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -57,7 +55,7 @@ class World:
         size_px: int = 384,
         conditions: Sequence[str] = ("clear",),
         places: Places = "uniform",
-    ) -> World:
+    ) -> "World":
         """Opens a background set and a fleet folder under the differentiable renderer.
 
         The background set gives the resolution. `size_px` is the image side, `conditions` and

@@ -32,7 +32,7 @@ TWO_TONES: tuple[tuple[Colour, Colour], ...] = tuple(
 def plain_paint(colour: Colour, *, masked: bool) -> UniversalTexture:
     """One colour as a finished texture on painted panels (Ma) or everywhere."""
     srgb = torch.tensor(colour).view(3, 1, 1) / 255
-    return _paint(f"plain_{bytes(colour).hex()}", srgb, masked=masked)
+    return finished_paint(f"plain_{bytes(colour).hex()}", srgb, masked=masked)
 
 
 def two_tone_paint(upper: Colour, lower: Colour) -> UniversalTexture:
@@ -42,13 +42,15 @@ def two_tone_paint(upper: Colour, lower: Colour) -> UniversalTexture:
     above = (u > shoulder) & (u < 1 - shoulder)
     colours = torch.tensor([lower, upper]) / 255
     variant = f"two_tone_{bytes(upper).hex()}_{bytes(lower).hex()}"
-    return _paint(variant, colours[above.long()].T[:, None, :], masked=True)
+    return finished_paint(variant, colours[above.long()].T[:, None, :], masked=True)
 
 
-def _paint(variant: str, srgb: Tensor, *, masked: bool) -> UniversalTexture:
-    name = CamouflageName(
-        "texture", TextureConstraints(masked=masked), random=True, variant=variant
-    )
+def finished_paint(
+    variant: str, srgb: Tensor, *, masked: bool, repeat: str = ""
+) -> UniversalTexture:
+    """A finished texture of these colours, on painted panels or everywhere."""
+    constraints = TextureConstraints(masked=masked)
+    name = CamouflageName("texture", constraints, random=True, variant=variant, repeat=repeat)
     paint = UniversalTexture(name, generator=torch.Generator())
     with torch.no_grad():
         paint.cells.copy_(srgb)

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from PIL import Image, ImageDraw
 from torch import Tensor
 
-from skyproof.camouflage.name import CamouflageName, TextureConstraints
+from skyproof.camouflage.paint import finished_paint
 from skyproof.camouflage.texture import UniversalTexture
 from skyproof.randomness import generator_of
 from skyproof.vehicles.vehicle import TEXTURE_SIZE
@@ -102,12 +102,7 @@ PATTERNS = tuple(_PATTERNS)
 
 
 def draw_pattern(
-    kind: str,
-    palette: Float[Tensor, "K 3"],
-    *,
-    seed: int,
-    draw: int,
-    masked: bool = False,
+    kind: str, palette: Float[Tensor, "K 3"], *, seed: int, draw: int, masked: bool = False
 ) -> UniversalTexture:
     """Draws a pattern of `PATTERNS` over vehicle or painted panels, in a palette's sRGB colours.
 
@@ -117,10 +112,5 @@ def draw_pattern(
     rng = np.random.default_rng(int(torch.randint(2**62, (1,), generator=generator)))
     number = torch.from_numpy(_PATTERNS[kind](rng, len(palette)).copy())
     shuffled = palette[torch.from_numpy(rng.permutation(len(palette)))]
-    constraints = TextureConstraints(masked=masked)
-    name = CamouflageName("texture", constraints, random=True, variant=kind).with_repeat(draw)
-    pattern = UniversalTexture(name, generator=torch.Generator())
-    with torch.no_grad():
-        pattern.cells.copy_(shuffled[number].permute(2, 0, 1))
-    pattern.finalise()
-    return pattern.requires_grad_(False)
+    drawn = shuffled[number].permute(2, 0, 1)
+    return finished_paint(kind, drawn, masked=masked, repeat=str(draw))

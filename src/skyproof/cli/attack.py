@@ -1,7 +1,5 @@
 """`skyproof attack`: camouflages by name, optimised against detectors or drawn at random."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -117,7 +115,7 @@ class Attack:
                 maker.make(name, folder, draws=self.draws, texture=texture)
         say(f"Camouflages: {self.out.resolve()} ({', '.join(map(str, names))})")
 
-    def _palette(self, names: Sequence[CamouflageName]) -> torch.Tensor | None:
+    def _palette(self, names: Sequence[CamouflageName]) -> "torch.Tensor | None":
         """The fixed colours of Fc, from which Lc and Pix start, too."""
         if not any(self.settings.takes_palette(name) for name in names):
             return None
@@ -138,7 +136,7 @@ class Attack:
         say(f"Palette: {', '.join('#' + bytes(colour).hex() for colour in colours)}")
         return palette
 
-    def _maker(self, palette: torch.Tensor | None) -> Maker:
+    def _maker(self, palette: "torch.Tensor | None") -> "Maker":
         """Opens the detectors and their world."""
         from skyproof.attacks.making import Maker
         from skyproof.attacks.world import World

@@ -1,7 +1,5 @@
 """`skyproof clear`: vehicle-free backgrounds from real tiles."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -87,7 +85,7 @@ def failed_precheck(folder: Path) -> bool:
 
 
 def clear_tiles(
-    folder: Path, out: Path, finder: VehicleFinder | None, checker: VehicleFinder | None
+    folder: Path, out: Path, finder: "VehicleFinder | None", checker: "VehicleFinder | None"
 ) -> None:
     """Clears a tiled folder, and prints what was removed."""
     from skyproof.imagery.clearing.clear import clear_backgrounds
@@ -99,7 +97,7 @@ def clear_tiles(
         say(line)
 
 
-def _finder(folder: Path | None, device: str) -> VehicleFinder | None:
+def _finder(folder: Path | None, device: str) -> "VehicleFinder | None":
     from skyproof.detectors.loaded import load_detector
     from skyproof.device import choose_device
     from skyproof.imagery.clearing.vehicle_masks import VehicleFinder

@@ -14,7 +14,7 @@ from skyproof.errors import ConfigurationError
 from skyproof.files import finished_folder
 from skyproof.imagery.settings import LabelSettings, SourceSettings, TilingSettings
 from skyproof.ranges import Count, Seed
-from skyproof.scenes.sensor import BlurChoice, chosen_blur_px
+from skyproof.scenes.sensor import PAPER_BLUR_SIGMA_PX, BlurChoice
 from skyproof.scenes.splits import SPLITS
 
 if TYPE_CHECKING:
@@ -78,8 +78,9 @@ class Ground:
                     say(line)
             else:
                 self._draw(folder)
-            if self.blur_sigma_px is not None:
-                blur_sigma_px = chosen_blur_px(self.blur_sigma_px)
+            chosen = self.blur_sigma_px
+            if chosen is not None:
+                blur_sigma_px = PAPER_BLUR_SIGMA_PX if chosen == "paper" else chosen
                 change_sensors(folder, lambda its: replace(its, blur_sigma_px=blur_sigma_px))
         say(f"Ground: {self.out.resolve()}")
 

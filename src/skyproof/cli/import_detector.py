@@ -1,7 +1,5 @@
 """`skyproof import`: a detector from elsewhere, from its checkpoint file."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -67,7 +65,7 @@ class Import:
         say_card(card, self.out)
 
 
-def say_card(card: DetectorCard, folder: Path) -> None:
+def say_card(card: "DetectorCard", folder: Path) -> None:
     """Prints how good a detector is on its validation images, and warnings."""
     say(
         f"Validation AP (centre within 1 m) {card.validation['ap_centre_1m']:.3f}, threshold "

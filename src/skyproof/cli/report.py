@@ -1,7 +1,5 @@
 """`skyproof report`: a run folder's results as one page."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

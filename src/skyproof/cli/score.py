@@ -1,7 +1,5 @@
 """`skyproof score`: what camouflages hide from detectors, and how good these are without."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -60,7 +58,7 @@ class Score(Rendering):
         self.measure()
         self._say_results()
 
-    def measure(self, loaded: Sequence[Detector] = ()) -> None:
+    def measure(self, loaded: "Sequence[Detector]" = ()) -> None:
         """Writes the score folder; the detectors may be `loaded` already."""
         from skyproof.camouflage.folder import load_camouflage
         from skyproof.cycles.renderer import open_renderer

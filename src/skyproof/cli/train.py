@@ -1,7 +1,5 @@
 """`skyproof train`: a detector of ours, trained on a dataset folder."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path

@@ -131,11 +131,7 @@ class Vehicles:
 
 
 def draw_fleets(
-    out: Path,
-    counts: FleetCounts,
-    settings: FleetSettings,
-    seed: int,
-    sample: Callable[..., Fleet],
+    out: Path, counts: FleetCounts, settings: FleetSettings, seed: int, sample: Callable[..., Fleet]
 ) -> None:
     """Writes the four fleets, or nothing.
 

@@ -82,13 +82,11 @@ def _search() -> Path:
 def _ask(path: Path) -> tuple[bool, str | None]:
     """Whether it is a Python, and the version of its Blender; None if there is none."""
     answer = _output([str(path), "--version"])
-    if found := re.search(r"^Blender (\d+\.\d+[.\d]*)", answer, re.MULTILINE):
-        return False, found[1]
-    if not answer.startswith("Python "):
-        return False, None
-    answer = _output([str(path), "-c", "import bpy; print('Blender', bpy.app.version_string)"])
+    is_python = answer.startswith("Python ")
+    if is_python:
+        answer = _output([str(path), "-c", "import bpy; print('Blender', bpy.app.version_string)"])
     found = re.search(r"^Blender (\d+\.\d+[.\d]*)", answer, re.MULTILINE)
-    return True, found[1] if found else None
+    return is_python, found[1] if found else None
 
 
 def _output(command: list[str]) -> str:

@@ -1,7 +1,5 @@
 """The job of a Blender process: a crop around a vehicle, in daylight, as numbers and arrays."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json
@@ -19,13 +17,7 @@ from torch import Tensor
 
 from skyproof.cycles.settings import CyclesSettings
 from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
-from skyproof.render.lighting import (
-    CLEAR,
-    OVERCAST,
-    SkyType,
-    relative_luminance,
-    sky_light,
-)
+from skyproof.render.lighting import CLEAR, OVERCAST, SkyType, relative_luminance, sky_light
 from skyproof.render.materials import material_labels, material_table, reflectance
 from skyproof.render.placed import Placed
 from skyproof.scenes.light import Light
@@ -185,7 +177,7 @@ def crop_jobs(
 
 
 @cache
-def _worker_hash() -> hashlib._Hash:
+def _worker_hash() -> "hashlib._Hash":
     """The hash of the worker's text, read once: every job's digest begins with it."""
     return hashlib.sha256(_WORKER.read_bytes())
 

@@ -1,7 +1,5 @@
 """Blender processes that turn job files into arrays; restarted when they die."""
 
-from __future__ import annotations
-
 import os
 import queue
 import shutil
@@ -49,7 +47,7 @@ class Workers:
         for process in self.processes:
             self._idle.put(process)
 
-    def __enter__(self) -> Workers:
+    def __enter__(self) -> "Workers":
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -84,7 +82,7 @@ class Workers:
         finally:
             self._idle.put(process)
 
-    def _render(self, process: _Process, job: Job, result: Path) -> np.ndarray:
+    def _render(self, process: "_Process", job: Job, result: Path) -> np.ndarray:
         write_bytes(process.job, job.stored())
         result.parent.mkdir(parents=True, exist_ok=True)
         why = ""

@@ -1,7 +1,5 @@
 """Writes and reads labelled images in a folder: PNGs, and COCO annotations with our additions."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -77,7 +75,7 @@ class CocoWriter:
         self._images: list[dict[str, Any]] = []
         self._annotations: list[dict[str, Any]] = []
 
-    def __enter__(self) -> CocoWriter:
+    def __enter__(self) -> "CocoWriter":
         (self.folder / "images").mkdir(parents=True, exist_ok=True)
         return self
 

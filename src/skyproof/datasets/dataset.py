@@ -1,7 +1,5 @@
 """Images with known vehicles, to train and evaluate detectors on."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math
@@ -67,7 +65,7 @@ class Dataset:
     info: Information | None = None
 
     @classmethod
-    def open(cls, folder: str | Path) -> Dataset:
+    def open(cls, folder: str | Path) -> "Dataset":
         """Opens a dataset folder that `CocoWriter` wrote; reads its annotations and no image.
 
         Annotations with iscrowd become ignore regions.
@@ -103,7 +101,7 @@ class Dataset:
         gsd_m: float,
         ignore: Sequence[Float[Tensor, "_m 4"]] | None = None,
         ids: Sequence[str] | None = None,
-    ) -> Dataset:
+    ) -> "Dataset":
         """Makes a dataset of images in memory, `[3, H, W]` sRGB bytes of any sizes.
 
         `boxes` holds the true vehicles and `ignore` the regions that are not scored, pixel xyxy.
@@ -120,7 +118,7 @@ class Dataset:
         )
 
     @classmethod
-    def joined(cls, parts: Sequence[Dataset]) -> Dataset:
+    def joined(cls, parts: Sequence["Dataset"]) -> "Dataset":
         """Joins sets of one resolution in their order; ConfigurationError for several or none."""
         first = next(iter(parts), None)
         if first is None or not all(math.isclose(one.gsd_m, first.gsd_m) for one in parts):

@@ -5,8 +5,6 @@ paper trains anew so that it gives a part map, too. Differences: 64 x 64 texels 
 512, and unconditional; the part map is an output; the fitted maps are those of our own renderer.
 """
 
-from __future__ import annotations
-
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float
@@ -101,7 +99,7 @@ class AdversarialGenerator:
         return dict(self.network.state_dict())
 
     @classmethod
-    def of(cls, tensors: dict[str, Tensor]) -> AdversarialGenerator:
+    def of(cls, tensors: dict[str, Tensor]) -> "AdversarialGenerator":
         """Takes over what `tensors` gave.
 
         Raises:

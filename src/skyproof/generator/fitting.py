@@ -1,7 +1,5 @@
 """Fits drawn bodies to photographed vehicles through the differentiable renderer."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -47,7 +45,7 @@ class _Candidates(nn.Module):
     """Rows of bodies that are moved, stretched and coloured; each stands in a scene of its own."""
 
     def __init__(
-        self, prototypes: _Bodies, chosen: Int[Tensor, " N"], paint: Float[Tensor, "N 3"]
+        self, prototypes: "_Bodies", chosen: Int[Tensor, " N"], paint: Float[Tensor, "N 3"]
     ) -> None:
         super().__init__()
         count = len(chosen)
@@ -60,7 +58,7 @@ class _Candidates(nn.Module):
         self.glass = nn.Parameter(torch.tensor(GLASS_SRGB).expand(count, 3).clone())
         self.detail = nn.Parameter(torch.zeros(count, 3, MAP_PX, MAP_PX // 2))
 
-    def rows(self, rows: Int[Tensor, " M"]) -> _Candidates:
+    def rows(self, rows: Int[Tensor, " M"]) -> "_Candidates":
         """Gives some of them, to be fitted further."""
         kept = _Candidates(self._prototypes, self.chosen[rows], self.paint.detach()[rows])
         with torch.no_grad():

@@ -5,8 +5,6 @@ drawn by the rules of `skyproof vehicles`; so panes are where such a body has pa
 map is exact.
 """
 
-from __future__ import annotations
-
 from dataclasses import astuple, fields
 
 import torch
@@ -58,7 +56,7 @@ class LayeredGenerator:
         self._components = components
 
     @classmethod
-    def learn(cls, vehicles: FittedVehicles) -> LayeredGenerator:
+    def learn(cls, vehicles: FittedVehicles) -> "LayeredGenerator":
         """Learns from fitted vehicles; a matter of linear algebra, and done at once."""
         flat = vehicles.detail.flatten(1)
         mean = flat.mean(0)
@@ -130,7 +128,7 @@ class LayeredGenerator:
         }
 
     @classmethod
-    def of(cls, body_types: tuple[str, ...], tensors: dict[str, Tensor]) -> LayeredGenerator:
+    def of(cls, body_types: tuple[str, ...], tensors: dict[str, Tensor]) -> "LayeredGenerator":
         """Takes over what `tensors` gave.
 
         Raises:

@@ -16,10 +16,7 @@ def rotate_about_vertical(
 
 
 def project(
-    points: Float[Tensor, "N V 3"],
-    direction: Float[Tensor, "N 3"],
-    gsd_m: float,
-    size_px: int,
+    points: Float[Tensor, "N V 3"], direction: Float[Tensor, "N 3"], gsd_m: float, size_px: int
 ) -> tuple[Float[Tensor, "N V 2"], Float[Tensor, "N V"]]:
     """Projects world points along parallel rays onto the ground, and so onto the pixel grid.
 

@@ -1,7 +1,5 @@
 """Hardens the detector of an assessment, and says how to assess the result."""
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Mapping
 from math import isclose

@@ -1,7 +1,5 @@
 """Training on vehicles in camouflages that are optimised against the detector as it learns."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace

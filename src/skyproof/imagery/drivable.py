@@ -43,10 +43,7 @@ ALONGSIDE_M = 6.0
 
 
 def drivable_directions(
-    image: Pixels,
-    gsd_m: float,
-    vehicles: Boxes | None = None,
-    stood: Sequence[RemovedVehicle] = (),
+    image: Pixels, gsd_m: float, vehicles: Boxes | None = None, stood: Sequence[RemovedVehicle] = ()
 ) -> UInt8[np.ndarray, "H W"]:
     """Makes a tile's map of drivable ground (`skyproof.scenes.directions`) from its picture.
 

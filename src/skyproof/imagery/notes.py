@@ -1,7 +1,5 @@
 """Notes on imagery, which tell assumptions, repairs and omissions."""
 
-from __future__ import annotations
-
 
 class ImageNote(str):
     """A note on one image; as text it begins with the image's name and a colon.
@@ -14,11 +12,11 @@ class ImageNote(str):
     image: str
     told: str
 
-    def __new__(cls, image: str, told: str) -> ImageNote:
+    def __new__(cls, image: str, told: str) -> "ImageNote":
         note = super().__new__(cls, f"{image}: {told}")
         note.image, note.told = image, told
         return note
 
-    def __reduce__(self) -> tuple[type[ImageNote], tuple[str, str]]:
+    def __reduce__(self) -> "tuple[type[ImageNote], tuple[str, str]]":
         # Copies are made by this.
         return ImageNote, (self.image, self.told)

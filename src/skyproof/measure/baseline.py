@@ -11,11 +11,7 @@ from jaxtyping import Bool, Int64
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.detector import Detector
 from skyproof.detectors.matching import MatchTable
-from skyproof.detectors.validation import (
-    average_precision,
-    best_f1_threshold,
-    precision_recall,
-)
+from skyproof.detectors.validation import average_precision, best_f1_threshold, precision_recall
 from skyproof.errors import ConfigurationError
 from skyproof.imagery.frames import BORDER_PX, read_frames_folder
 from skyproof.measure.views import SceneView, look

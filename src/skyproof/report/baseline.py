@@ -240,10 +240,7 @@ def precheck_part(results: Results) -> PrecheckPart:
 
 
 def _state(
-    name: str,
-    found: Sequence[Finding] | None,
-    likeness: Likeness | None,
-    baselines: Sequence[str],
+    name: str, found: Sequence[Finding] | None, likeness: Likeness | None, baselines: Sequence[str]
 ) -> PrecheckState:
     if found is None:
         return PrecheckState(detector_name(name), None, "", likeness, baselines)

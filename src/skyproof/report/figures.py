@@ -20,6 +20,7 @@ from PIL import Image
 from skyproof.errors import StoredFileError
 from skyproof.pictures import open_picture, read_pixels
 from skyproof.results.conditions import Panel
+from skyproof.results.outcomes import REMEDY
 from skyproof.results.result import Result
 from skyproof.results.statistics.acceptance import Requirement
 from skyproof.results.statistics.intervals import Interval
@@ -47,9 +48,6 @@ STYLE: Any = {
 }
 
 
-_REMEDY = "copy the whole folder again, or score again"
-
-
 def panels(lines: int, columns: int, width: float, height: float, **shared: Any) -> tuple[Any, Any]:
     """Makes a figure, in inches, and the grid of its axes."""
     size = (width, height)
@@ -63,10 +61,7 @@ def rule(axes: Any, along: str = "both") -> None:
 
 
 def forest_figure(
-    salt: str,
-    labels: Sequence[str],
-    rows: Sequence[Result],
-    controls: Sequence[Result | None],
+    salt: str, labels: Sequence[str], rows: Sequence[Result], controls: Sequence[Result | None]
 ) -> str:
     """Draws per result the share hidden, and what remains after subtracting its controls."""
     randoms = [None if row is None else row.easr for row in controls]
@@ -262,10 +257,10 @@ def queries_figure(curves: Sequence[QueryCurve]) -> str:
 
 def embedded_jpeg(path: Path) -> str:
     """Gives a JPEG file as a data URI."""
-    picture = open_picture(path, _REMEDY)
+    picture = open_picture(path, REMEDY)
     with picture:
         if picture.format != "JPEG":
-            raise StoredFileError(f"{path} is a {picture.format} file, not JPEG; {_REMEDY}.")
+            raise StoredFileError(f"{path} is a {picture.format} file, not JPEG; {REMEDY}.")
     return f"data:image/jpeg;base64,{base64.b64encode(path.read_bytes()).decode()}"
 
 
@@ -274,7 +269,7 @@ def embedded(path: Path | None, *, lossless: bool = True) -> str | None:
     if path is None:
         return None
     buffer = io.BytesIO()
-    picture = Image.fromarray(read_pixels(path, _REMEDY))
+    picture = Image.fromarray(read_pixels(path, REMEDY))
     kind = "png" if lossless else "jpeg"
     # PNG has no quality, and JPEG is not optimised.
     picture.save(buffer, kind, optimize=lossless, quality=80)

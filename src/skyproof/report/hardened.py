@@ -1,7 +1,5 @@
 """A hardened detector beside its parent: what each attack hides from them, and clean scores."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

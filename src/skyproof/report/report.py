@@ -120,10 +120,7 @@ class _Known(Struct, frozen=True):
 
 
 def _write(
-    results: Results,
-    layout: Layout,
-    requirement: Requirement | None,
-    more: Sequence[Section],
+    results: Results, layout: Layout, requirement: Requirement | None, more: Sequence[Section]
 ) -> Path:
     query = query_part(results)
     alarms = [] if query is None else query.alarms

@@ -1,7 +1,5 @@
 """Tables of numbers as CSV, and a page of headings, paragraphs and tables as Markdown."""
 
-from __future__ import annotations
-
 import csv
 import io
 import re
@@ -12,6 +10,7 @@ from typing import Any
 from skyproof.results.operating_points import EQUAL_ALARMS
 from skyproof.results.result import Result
 from skyproof.results.results import Results
+from skyproof.results.rows_file import interval_columns
 from skyproof.results.statistics.intervals import Interval
 from skyproof.words import detector_name
 
@@ -51,11 +50,8 @@ class Table:
 
 def interval_cells(name: str, interval: Interval, scale: float = 1.0) -> dict[str, float]:
     """Gives an interval's three columns."""
-    return {
-        name: scale * interval.estimate,
-        f"{name}_low": scale * interval.low,
-        f"{name}_high": scale * interval.high,
-    }
+    columns = interval_columns(name, interval)
+    return {column: scale * value for column, value in columns.items()}
 
 
 def in_percent(row: Result | None) -> dict[str, Any]:
@@ -81,7 +77,7 @@ def at_equal_alarms(results: Results, row: Result | None) -> dict[str, Any]:
     return cells
 
 
-def equal_alarm_columns(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, Cell]]:
+def equal_alarm_columns(rows: Sequence[Mapping[str, Any]]) -> "list[tuple[str, Cell]]":
     """Shows what `at_equal_alarms` gave to any of the rows."""
     return [
         (f"{words} at {alarms}/km²", rate(f"{key}_at_{name}"))
@@ -113,7 +109,7 @@ class TextTable:
     @classmethod
     def of(
         cls, rows: Iterable[Mapping[str, Any]], columns: Sequence[tuple[str, str | Cell]]
-    ) -> TextTable:
+    ) -> "TextTable":
         """Shows columns of rows, each under its heading; a key stands for the value as it is."""
         cells = [
             [str(row[cell]) if isinstance(cell, str) else cell(row) for _, cell in columns]
@@ -151,7 +147,7 @@ class Topic:
     @classmethod
     def of(
         cls, heading: str, tables: Mapping[str, Sequence[Mapping[str, Any]]], *blocks: Block
-    ) -> Topic:
+    ) -> "Topic":
         """Gives rows by the names of their tables, and blocks below a heading; "" says nothing."""
         said = [block for block in blocks if block]
         return cls([Table(*table) for table in tables.items()], [Heading(heading), *said])

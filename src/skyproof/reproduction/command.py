@@ -1,7 +1,5 @@
 """`skyproof reproduce`: the paper's tables and its figure, from nothing."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated

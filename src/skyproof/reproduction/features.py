@@ -30,7 +30,7 @@ from skyproof.reproduction.figures import as_files, figure_style
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.reproduction.stored import GROUND, Features
 from skyproof.results.outcomes import ORIGINAL
-from skyproof.results.statistics.intervals import Interval, cluster_interval, resample
+from skyproof.results.statistics.intervals import Interval, cluster_interval, resample, share_of
 from skyproof.words import detector_name
 
 EVERY = "all"
@@ -184,12 +184,9 @@ def _mean_by_tile(
     np.add.at(sums[0, :, 0], tile, values)
     np.add.at(sums[0, :, 1], tile, 1.0)
     weights = resample(len(names), generator=np.random.default_rng(_SEED))
-    return cluster_interval(sums, _mean, weights, limits=limits)
-
-
-def _mean(sums: Float[np.ndarray, "*shape 1 3"]) -> Float[np.ndarray, "*shape"]:
-    with np.errstate(invalid="ignore"):
-        return np.asarray(sums[..., 0, 0] / sums[..., 0, 1])
+    return cluster_interval(
+        sums, lambda sums: share_of(sums[..., 0, 0], sums[..., 0, 1]), weights, limits=limits
+    )
 
 
 def _blocks(

@@ -1,7 +1,5 @@
 """Detectors that a reproduction scores and does not attack (section S5.4), in tables."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -29,7 +27,7 @@ class HeldOutDetector:
     card: DetectorCard
 
     @classmethod
-    def open(cls, folder: Path) -> HeldOutDetector:
+    def open(cls, folder: Path) -> "HeldOutDetector":
         """Reads a detector folder's card; StoredFileError for another folder."""
         return cls(folder, read_card(folder))
 
@@ -40,12 +38,12 @@ class HeldOutDetector:
             return "elsewhere"
         return f"{self.card.trained_on or 'unknown images'}, {self.card.training.get('images')}"
 
-    def is_same(self, other: HeldOutDetector) -> bool:
+    def is_same(self, other: "HeldOutDetector") -> bool:
         """Says whether two folders hold one detector at one threshold."""
         own, theirs = self.card, other.card
         return (own.weights_sha256, own.threshold) == (theirs.weights_sha256, theirs.threshold)
 
-    def is_trained_like(self, other: HeldOutDetector) -> bool:
+    def is_trained_like(self, other: "HeldOutDetector") -> bool:
         """Says whether two have the same training images, as far as their cards tell."""
         digests = [each.card.training.get("data_sha256") for each in (self, other)]
         return digests[0] == digests[1] if all(digests) else self.data == other.data

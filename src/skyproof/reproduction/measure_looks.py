@@ -143,9 +143,7 @@ def _strip(images: Sequence[Float[Tensor, "3 H W"]]) -> UInt8[Tensor, "3 H sheet
 
 
 def measure_looks(
-    folders: Sequence[Path],
-    vehicles: VehicleBatch,
-    progress: Callable[[int, int], None],
+    folders: Sequence[Path], vehicles: VehicleBatch, progress: Callable[[int, int], None]
 ) -> Looks:
     """Measures textures where they are worn; repeats are compared, and as many random draws."""
     compared = _compared([folder.name for folder in folders])

@@ -1,7 +1,5 @@
 """All settings of a reproduction of the paper, as a preset or a JSON file of the same form."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -255,7 +253,7 @@ class Preset:
                 yield f"{setting} expects each detector once, got {', '.join(names)}."
 
     @classmethod
-    def parse(cls, values: Mapping[str, Any], place: str = "The preset") -> Preset:
+    def parse(cls, values: Mapping[str, Any], place: str = "The preset") -> "Preset":
         """Takes plain values, as JSON has them; ConfigurationError for a setting that cannot be."""
         return check_document(values, cls, place, _REMEDY, error=ConfigurationError)
 

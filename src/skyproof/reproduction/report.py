@@ -11,26 +11,13 @@ from skyproof.files import alone, refuse_links, write_bytes
 from skyproof.report.baseline import precheck_part
 from skyproof.report.report import Section, templates, write_report
 from skyproof.reproduction.agreement import agreement_part
-from skyproof.reproduction.cells import (
-    Block,
-    Figure,
-    Heading,
-    Table,
-    Topic,
-    as_markdown,
-    number,
-)
+from skyproof.reproduction.cells import Block, Figure, Heading, Table, Topic, as_markdown, number
 from skyproof.reproduction.cycles import cycles_part
 from skyproof.reproduction.features import features_part
 from skyproof.reproduction.held_out import held_out_part
 from skyproof.reproduction.looks import colours_part, looks_part
 from skyproof.reproduction.reproduction import Reproduction
-from skyproof.reproduction.tables import (
-    main_part,
-    practicality_part,
-    shape_table,
-    texture_table,
-)
+from skyproof.reproduction.tables import main_part, practicality_part, shape_table, texture_table
 from skyproof.reproduction.transfer import transfer_part
 from skyproof.reproduction.trust import criteria_part, trust_part
 from skyproof.reproduction.variability import variability_part

@@ -147,10 +147,10 @@ class Likeness:
             "not alike": "does not score rendered vehicles like photographed ones",
         }
         return (
-            f"{name} {says[self.state]}: it finds {_sure(self.recall_rendered)} of {self.rendered} "
-            f"and {_sure(self.recall_photographed)} of {self.photographed} {on}, with median "
+            f"{name} {says[self.state]}: it finds {sure(self.recall_rendered)} of {self.rendered} "
+            f"and {sure(self.recall_photographed)} of {self.photographed} {on}, with median "
             f"scores of {self.median_rendered:.2f} and {self.median_photographed:.2f}. In "
-            f"{_sure(self.higher)} of pairs the photographed vehicle scores higher.{self.differing}"
+            f"{sure(self.higher)} of pairs the photographed vehicle scores higher.{self.differing}"
         )
 
     @property
@@ -199,6 +199,7 @@ def _differences(photographs: Look, renders: Look) -> Iterator[Difference]:
     yield Difference("longer side of the box", shown, others, bound, said if out else "")
 
 
-def _sure(value: Interval) -> str:
+def sure(value: Interval) -> str:
+    """A share with its interval, "81 % (70 to 90 %)", or alone where that is undefined."""
     shown = percent(value.estimate)
     return shown if math.isnan(value.low) else f"{shown} ({interval(value.low, value.high)})"

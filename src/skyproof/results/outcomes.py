@@ -24,14 +24,7 @@ from skyproof.files import write_beside
 from skyproof.ranges import Fraction, Match, Metres, Name, WholeNumber, limits_of
 from skyproof.results.statistics.contrasts import Group
 from skyproof.results.statistics.intervals import Sample
-from skyproof.results.statistics.repeats import (
-    BESTS,
-    DRAWS,
-    GIVEN,
-    SEARCHES,
-    SEEDS,
-    Repeat,
-)
+from skyproof.results.statistics.repeats import BESTS, DRAWS, GIVEN, SEARCHES, SEEDS, Repeat
 
 MATCHES: tuple[Match, ...] = get_args(Match)
 

@@ -14,18 +14,19 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from jaxtyping import Int
-from msgspec import Meta, Struct
+from msgspec import Meta, Struct, structs
 
 from skyproof.detectors.card import LEAST_VEHICLES, read_card
 from skyproof.documents import read_document
 from skyproof.errors import StoredFileError
 from skyproof.files import new_file, write_json
 from skyproof.ranges import Count, Fraction, Name, Seed, WholeNumber
-from skyproof.results.likeness import Likeness
+from skyproof.results.likeness import Likeness, sure
 from skyproof.results.result import by_main_rule
 from skyproof.results.rows_file import flat_row, row_form, row_of
 from skyproof.results.score_folder import Baseline
 from skyproof.results.statistics.intervals import Interval
+from skyproof.results.stored import Label, Text
 from skyproof.scenes.scene import Scene, scenes_digest
 from skyproof.words import detector_name, hides, interval, percent
 
@@ -74,8 +75,6 @@ _MANY: dict[Kind, str] = {
 }
 
 _Digest = Annotated[str, Meta(max_length=64)]
-_Label = Annotated[str, Meta(min_length=1, max_length=300)]
-_Text = Annotated[str, Meta(max_length=10_000)]
 _Counts = Annotated[tuple[WholeNumber, ...], Meta(max_length=10_000)]
 
 
@@ -89,7 +88,7 @@ class Rate:
     """
 
     kind: Kind
-    name: _Label
+    name: Label
     draws: Count
     easr: Annotated[Interval, Meta(ge=-1e6, le=1)]
     lost_by_tile: _Counts = ()
@@ -101,10 +100,10 @@ class MeasuredOn:
 
     scenes: Count
     scenes_sha256: _Digest
-    sources: tuple[_Text, ...]
+    sources: tuple[Text, ...]
     draws: Count
     seed: Seed
-    frames: tuple[_Label, ...] = ()
+    frames: tuple[Label, ...] = ()
     frames_sha256: tuple[_Digest, ...] = ()
     ground_sha256: _Digest = ""
     fleet_sha256: _Digest = ""
@@ -207,16 +206,12 @@ def read_precheck(folder: Path) -> PrecheckRecord:
                 f"{path} counts other vehicles lost in the paint {row.name} than were found; "
                 f"{_REMEDY}."
             )
-    return PrecheckRecord(
-        detector=stored.detector,
-        weights_sha256=stored.weights_sha256,
-        threshold=stored.threshold,
-        measured_on=stored.measured_on,
-        sets=[row_of(Baseline, row) for row in stored.sets],
-        rates=[row_of(Rate, row) for row in stored.rates],
-        found_by_tile=stored.found_by_tile,
-        likeness=[row_of(Likeness, row) for row in stored.likeness],
-    )
+    rows = {
+        "sets": [row_of(Baseline, row) for row in stored.sets],
+        "rates": [row_of(Rate, row) for row in stored.rates],
+        "likeness": [row_of(Likeness, row) for row in stored.likeness],
+    }
+    return PrecheckRecord(**structs.asdict(stored) | rows)
 
 
 def read_prechecks(detectors: Path) -> dict[str, PrecheckRecord]:
@@ -315,8 +310,8 @@ def _baseline(baseline: Baseline) -> Finding:
     return Finding(
         f"baseline AP on {baseline.dataset}",
         _outcome(ap, least, sign=1),
-        f"its AP on {baseline.dataset} is {_sure(ap)} (limit {percent(least)}){lenient}",
-        _sure(ap),
+        f"its AP on {baseline.dataset} is {sure(ap)} (limit {percent(least)}){lenient}",
+        sure(ap),
         least - ap.estimate,
     )
 
@@ -337,7 +332,7 @@ def _changed(rates: Sequence[Rate], kind: Kind) -> Finding:
             f"{percent(LARGEST_EASR)}; the worst, {rate_words(largest)}, {done}"
         )
     excess = largest.easr.estimate - LARGEST_EASR
-    figure = f"{rate_words(largest)} {_sure(largest.easr)}"
+    figure = f"{rate_words(largest)} {sure(largest.easr)}"
     return Finding(many, rate_outcome(largest), words, figure, excess, ordered)
 
 
@@ -347,8 +342,3 @@ def _outcome(value: Interval, limit: float, *, sign: int) -> FindingOutcome:
     if sign * value.estimate >= limit:
         return "passed"
     return "failed" if ends and max(ends) < limit else "borderline"
-
-
-def _sure(value: Interval) -> str:
-    shown = percent(value.estimate)
-    return shown if math.isnan(value.low) else f"{shown} ({interval(value.low, value.high)})"

@@ -22,14 +22,13 @@ from skyproof.files import write_json
 from skyproof.layout import Layout
 from skyproof.ranges import FileReference, Fraction, Name, Seed, WholeNumber
 from skyproof.results.likeness import Likeness
-from skyproof.results.outcomes import ORIGINAL, OutcomeCounts, Series, read_counts
+from skyproof.results.outcomes import ORIGINAL, REMEDY, OutcomeCounts, Series, read_counts
 from skyproof.results.rows_file import read_rows
 from skyproof.results.statistics.intervals import Interval
 from skyproof.results.stored import Label, Practicality, Text
 from skyproof.words import percent
 
 LIKENESS = "likeness.json"
-_REMEDY = "copy the whole folder again, or score again"
 # The largest loss of F1 with which a frozen threshold carries over.
 _FAR = 0.03
 
@@ -173,7 +172,7 @@ class ScoreFolder:
     @classmethod
     def open(cls, path: Path) -> Self:
         """Reads a score folder's record."""
-        return cls(path, read_document(path / "score.json", ScoreRecord, _REMEDY))
+        return cls(path, read_document(path / "score.json", ScoreRecord, REMEDY))
 
     @classmethod
     def all_of(cls, run_folder: Path, *, needed: bool = True) -> list[Self]:
@@ -196,25 +195,25 @@ class ScoreFolder:
     def pairs(self) -> list[Pair]:
         """Gives the pictured scenes, whose pictures lie beside the file; empty without any."""
         path = self.path / "pairs" / "pairs.json"
-        return read_rows(path, Pair, _REMEDY) if path.exists() else []
+        return read_rows(path, Pair, REMEDY) if path.exists() else []
 
     def baselines(self) -> list[Baseline]:
         """Gives the baseline of each detector and dataset."""
-        return read_rows(self.path / "baselines.json", Baseline, _REMEDY)
+        return read_rows(self.path / "baselines.json", Baseline, REMEDY)
 
     def likeness(self) -> list[Likeness]:
         """Gives how photographed and rendered vehicles compare; empty where not measured."""
         path = self.path / LIKENESS
-        return read_rows(path, Likeness, _REMEDY) if path.exists() else []
+        return read_rows(path, Likeness, REMEDY) if path.exists() else []
 
     def sets(self) -> list[SetScore]:
         """Gives average precision and false alarms of each set."""
-        return read_rows(self.path / "sets.json", SetScore, _REMEDY)
+        return read_rows(self.path / "sets.json", SetScore, REMEDY)
 
     def practicality(self) -> list[Practicality]:
         """Gives the practicality of the pictured camouflages; empty where not measured."""
         path = self.path / "practicality.json"
-        return read_document(path, _PracticalityFile, _REMEDY).rows if path.exists() else []
+        return read_document(path, _PracticalityFile, REMEDY).rows if path.exists() else []
 
 
 def merge_scores(

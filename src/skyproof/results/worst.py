@@ -1,7 +1,5 @@
 """The worst case: the vehicles that at least one of several attacks hides."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Sequence, Set
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Background sets: folders of ground tiles at one resolution, in splits, read through windows."""
 
-from __future__ import annotations
-
 import math
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
@@ -46,7 +44,7 @@ class BackgroundSet:
         self._decoding = Lock()
 
     @classmethod
-    def open(cls, folder: str | Path) -> BackgroundSet:
+    def open(cls, folder: str | Path) -> "BackgroundSet":
         """Opens a set that `write_procedural_backgrounds` or `tile_imagery` wrote."""
         folder = Path(folder)
         index = read_index(folder)

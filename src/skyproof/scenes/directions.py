@@ -4,8 +4,6 @@ A pixel of 0 is no place for a vehicle; v > 0 is one, heading v - 1 degrees from
 (right) towards up, modulo 180: nose and tail are not distinguished.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -22,7 +20,7 @@ REACH_M = 1.4
 """so far from there: together they hold a car of 4.5 m x 1.7 m with corners."""
 
 
-def direction_values(heading_rad: _Grid) -> UInt8[np.ndarray, ...]:
+def direction_values(heading_rad: _Grid) -> "UInt8[np.ndarray, ...]":
     """Gives the map's values for headings."""
     degrees = np.round(np.degrees(np.mod(heading_rad, math.pi))).astype(np.int64) % 180
     return (degrees + 1).astype(np.uint8)

@@ -20,11 +20,6 @@ BlurChoice = Blur | Literal["paper"]
 _SHARPEST_PX = 0.01
 
 
-def chosen_blur_px(choice: BlurChoice) -> float:
-    """Returns the blur in pixels for a user's choice."""
-    return PAPER_BLUR_SIGMA_PX if choice == "paper" else choice
-
-
 @dataclass(frozen=True)
 class Sensor:
     """Standard deviations of blur and of noise (sRGB units); the default is a sharp orthophoto."""

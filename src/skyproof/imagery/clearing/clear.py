@@ -190,9 +190,7 @@ def clear_backgrounds(
 
 
 def _by_tile(
-    clearing: _Clearing,
-    work: Callable[[BackgroundTile], _Result],
-    tiles: Sequence[BackgroundTile],
+    clearing: _Clearing, work: Callable[[BackgroundTile], _Result], tiles: Sequence[BackgroundTile]
 ) -> AbstractContextManager[Iterator[_Result]]:
     """Yields the results of work in order; threads do several tiles, not with black boxes."""
     used = [each.detector for each in (clearing.finder, clearing.checker) if each is not None]
@@ -228,10 +226,7 @@ def _find(clearing: _Clearing, tile: BackgroundTile) -> _Found:
 
 
 def _clear_tile(
-    clearing: _Clearing,
-    tile: BackgroundTile,
-    found: _Found,
-    shadow: Shadow | None,
+    clearing: _Clearing, tile: BackgroundTile, found: _Found, shadow: Shadow | None
 ) -> tuple[Cleared, SheetRow | None, Pixels]:
     """Fills one tile and checks it; returns its picture for the sheet if it changed."""
     checker, gsd_m = clearing.checker, clearing.backgrounds.gsd_m

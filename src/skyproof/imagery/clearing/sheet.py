@@ -1,7 +1,5 @@
 """Draws a contact sheet of every changed tile, before and after, to inspect and reject."""
 
-from __future__ import annotations
-
 import html
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,7 +41,7 @@ class ContactSheet:
         self.folder = Path(folder)
         self._figures: list[str] = []
 
-    def __enter__(self) -> ContactSheet:
+    def __enter__(self) -> "ContactSheet":
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:

@@ -1,7 +1,5 @@
 """Tells sun or clouds over a flight by where, and how sharply, its vehicles' shadows end."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -168,17 +166,14 @@ def _edge(brightness: Array) -> tuple[float, float] | None:
     share = brightness / level
     darkest = int(np.argmin(np.nan_to_num(share[_OUTWARD_M < _DARKEST_WITHIN_M], nan=1.0)))
     depth = 1 - share[darkest]
-    begins, ends = (darkest + _first(share[darkest:] > 1 - part * depth) for part in (0.75, 0.25))
+    # Of a strip that never gets so bright, the end is the strip's.
+    bright = (np.append(share[darkest:] > 1 - part * depth, True) for part in (0.75, 0.25))
+    begins, ends = (darkest + int(true.argmax()) for true in bright)
     beyond = share[ends : ends + round(_BEYOND_M / _STEP_M)]
     even = len(beyond) == round(_BEYOND_M / _STEP_M) and beyond.std() < _MOST_UNEVEN
     if depth < _FAINTEST or not even or abs(beyond.mean() - 1) > _MOST_UNEVEN:
         return None
     return float(_OUTWARD_M[ends]), (ends - begins) * _STEP_M
-
-
-def _first(true: NDArray[np.bool_]) -> int:
-    """Returns the first place that is true, or the length."""
-    return int(true.argmax()) if true.any() else len(true)
 
 
 def casts_hard_shadows(edges: Array, *, blur_m: float) -> bool | None:

@@ -1,7 +1,5 @@
 """Finds vehicles by a detector, and masks them with their shadows, measured in the pictures."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -109,7 +107,10 @@ def estimate_shadow(profiles: Iterable[Float[Tensor, "_ directions layers"]]) ->
     It has no direction if no side is darker than the one across, as under an overcast sky, or if it
     does not end within 6 m, as that of trees.
     """
-    stacked = _stack_profiles(profiles)
+    every = [tensor.double().numpy() for tensor in profiles]
+    stacked = np.concatenate([np.zeros((0, DIRECTIONS, LAYERS)), *every])
+    # Up to 300 vehicles with free ground, `[n, directions, layers]`.
+    stacked = stacked[np.isfinite(stacked).any((1, 2))][:SAMPLE_LIMIT]
     if len(stacked) < FEWEST_VEHICLES:
         return None
     (x, y), profile, contrast = _shadow_side(stacked)
@@ -121,13 +122,6 @@ def estimate_shadow(profiles: Iterable[Float[Tensor, "_ directions layers"]]) ->
     reach_m = STRETCH * (peak + int(ends[0])) * LAYER_M + PENUMBRA_M
     direction = (x / math.hypot(x, y), y / math.hypot(x, y))
     return Shadow(direction, min(reach_m, LONGEST_SHADOW_M), contrast, len(stacked))
-
-
-def _stack_profiles(profiles: Iterable[Float[Tensor, "_ directions layers"]]) -> Array:
-    """Stacks the profiles of up to 300 vehicles with free ground, `[n, directions, layers]`."""
-    every = [tensor.double().numpy() for tensor in profiles]
-    stacked = np.concatenate([np.zeros((0, DIRECTIONS, LAYERS)), *every])
-    return stacked[np.isfinite(stacked).any((1, 2))][:SAMPLE_LIMIT]
 
 
 def _shadow_side(stacked: Array) -> tuple[tuple[float, float], Array, float]:
@@ -206,7 +200,7 @@ class VehicleFinder:
     _threads: int = field(default_factory=torch.get_num_threads, repr=False, compare=False)
 
     @classmethod
-    def of_folder(cls, detector: Detector, folder: Path, device: torch.device) -> VehicleFinder:
+    def of_folder(cls, detector: Detector, folder: Path, device: torch.device) -> "VehicleFinder":
         """Names a detector by its folder and its weights' digest, and moves it to a device."""
         if not isinstance(detector, TrainableDetector):
             return cls(detector, f"{folder} (by its answers)")

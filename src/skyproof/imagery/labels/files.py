@@ -106,7 +106,7 @@ def _read_folder(folder: Path) -> Labels:
             return read_visdrone_labels(place)
         if words and is_yolo_line(words):
             return read_yolo_labels(place, None)
-        annotations = voc_files(place)
+        annotations = [*voc_files(place)]
         if annotations:
             return read_voc_labels(place, annotations)
         if texts:

@@ -1,7 +1,5 @@
 """Reads labels on the ground: points and outlines of GeoJSON, GeoPackage and Shapefile."""
 
-from __future__ import annotations
-
 import re
 import warnings
 from collections.abc import Mapping, Sequence
@@ -91,8 +89,8 @@ def read_ground_labels(
             parts.append(1)
             flat.append(where)
             continue
-        shapes = _shapes(geometry)
-        if not shapes:
+        shapes = [_corners(part) for part in getattr(geometry, "geoms", [geometry])]
+        if not shapes or not all(shapes):
             raise ImageryError(
                 f"{where} is neither a point nor a polygon with coordinates; correct it."
             )
@@ -132,7 +130,7 @@ def _is_ignored(record: Mapping[str, Any]) -> bool:
 
 def _read_layer(
     place: Path | str, path: Path, wanted: Sequence[str]
-) -> tuple[GeoDataFrame, tuple[str, ...]]:
+) -> "tuple[GeoDataFrame, tuple[str, ...]]":
     """Reads the one layer of a vector file that may hold labels, and tells of the others."""
     # Loaded only for labels on the ground: it takes a second.
     import geopandas
@@ -177,18 +175,13 @@ def _label_layers(place: Path | str, layers: Sequence[str], wanted: Sequence[str
     return telling if len(telling) == 1 else fitting
 
 
-def _shapes(geometry: Any) -> list[tuple[Point, ...]]:
-    """Returns the corners of a geometry's parts; nothing where one is no point or outline."""
-    shapes = [_corners(part) for part in getattr(geometry, "geoms", [geometry])]
-    return shapes if all(shapes) else []
-
-
 def _is_flat(corners: Sequence[Point]) -> bool:
     """Whether an outline encloses no ground."""
     return len(corners) > 1 and any(len({*values}) == 1 for values in zip(*corners, strict=True))
 
 
 def _corners(part: Any) -> tuple[Point, ...]:
+    """Returns the corners of a point or an outline; nothing of anything else."""
     if part.is_empty or not (np.abs(part.bounds) <= LARGEST_NUMBER).all():
         return ()
     if part.geom_type == "Point":

@@ -18,12 +18,7 @@ from skyproof.imagery.labels.label import (
     refuse_mostly_beyond,
     twice_note,
 )
-from skyproof.imagery.rasters import (
-    RASTER_SUFFIXES,
-    open_raster,
-    orientation_of,
-    upright_size_px,
-)
+from skyproof.imagery.rasters import RASTER_SUFFIXES, open_raster, orientation_of, upright_size_px
 from skyproof.words import counted
 
 LARGEST_NUMBER = 1e9

@@ -1,7 +1,5 @@
 """Labels of vehicles as files give them: in pixels of named images, or on the ground."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
@@ -34,12 +32,12 @@ class Label:
     ignore: bool = False
 
     @classmethod
-    def upright(cls, class_name: str, box: Box, ignore: bool = False) -> Label:
+    def upright(cls, class_name: str, box: Box, ignore: bool = False) -> "Label":
         left, top, right, bottom = box
         corners = (left, top), (right, top), (right, bottom), (left, bottom)
         return cls(class_name, corners, ignore)
 
-    def moved(self, corners: Sequence[Point]) -> Label:
+    def moved(self, corners: Sequence[Point]) -> "Label":
         return dataclasses.replace(self, corners=tuple(corners))
 
     @property

@@ -22,12 +22,8 @@ _SIDES = ("xmin", "ymin", "xmax", "ymax")
 _LONGEST_NAME = 200
 
 
-def voc_files(folder: Path) -> list[tuple[Path, Element]]:
-    """Returns the annotations in a folder, parsed; other XML, such as GDAL's, is not listed."""
-    return [*_annotations(folder)]
-
-
-def _annotations(folder: Path) -> Iterator[tuple[Path, Element]]:
+def voc_files(folder: Path) -> Iterator[tuple[Path, Element]]:
+    """Yields the annotations in a folder, parsed, without other XML, such as GDAL's."""
     for file in label_texts(folder, ".xml"):
         # Files of GDAL and ESRI beside images and vector files.
         if file.name.lower().endswith((".aux.xml", ".shp.xml")):

@@ -1,7 +1,5 @@
 """Finds the empty collar around a warped or cut orthophoto that declares no nodata value."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -26,12 +24,7 @@ _LOSSY_VALUES = 3
 _LOSSY_PX = 16
 _LOSSY_DRIVERS = ("JPEG", "JP2OpenJPEG", "VRT")
 """A VRT does not say how its images are compressed."""
-_LOSSY_COMPRESSIONS = (
-    Compression.jpeg,
-    Compression.jpeg2000,
-    Compression.webp,
-    Compression.lerc,
-)
+_LOSSY_COMPRESSIONS = (Compression.jpeg, Compression.jpeg2000, Compression.webp, Compression.lerc)
 
 
 @dataclass(frozen=True, eq=False)

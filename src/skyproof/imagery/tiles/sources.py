@@ -1,7 +1,5 @@
 """Inspects orthophotos: their bands, the range of their values, their place."""
 
-from __future__ import annotations
-
 import os
 import warnings
 from collections import OrderedDict
@@ -159,7 +157,7 @@ class SourceReader:
             GDAL_CACHEMAX=GDAL_CACHE_MB, GDAL_ERROR_ON_LIBJPEG_WARNING=True, GDAL_NUM_THREADS="1"
         )
 
-    def __enter__(self) -> SourceReader:
+    def __enter__(self) -> "SourceReader":
         self._limits.__enter__()
         return self
 

@@ -18,9 +18,8 @@ of the share that is lost there.
 
 import math
 from bisect import bisect_left
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from itertools import count
 from typing import Annotated, Literal
 
 import numpy as np
@@ -232,8 +231,22 @@ def fewest_tiles(reject: float, consumer_risk: float) -> int:
     def suffice(tiles: int) -> bool:
         return bool(_mean(tiles * one) >= 1 / consumer_risk)
 
-    enough = next(tiles for tiles in (2**power for power in count()) if suffice(tiles))
-    return bisect_left(range(enough), True, lo=enough // 2, key=suffice)
+    return fewest(suffice, 1)
+
+
+def fewest(enough: Callable[[int], bool], start: int, precision: int | None = None) -> int:
+    """Gives the fewest tiles, `start` or more, that are enough; to a part of 1/`precision`."""
+    many = start
+    while not enough(many):
+        many *= 2
+    few = many // 2
+    while many - few > max(1, many // precision if precision else 1):
+        middle = (few + many) // 2
+        if enough(middle):
+            many = middle
+        else:
+            few = middle
+    return many
 
 
 def _below(tiles: Tiles, limit: float) -> Float[np.ndarray, "*runs bets"]:
@@ -272,9 +285,7 @@ def _answer(
 
 
 def _more_tiles(
-    logarithms: Mapping[str, tuple[np.ndarray, np.ndarray]],
-    limits: tuple[float, float],
-    tiles: int,
+    logarithms: Mapping[str, tuple[np.ndarray, np.ndarray]], limits: tuple[float, float], tiles: int
 ) -> int | None:
     """Gives the further tiles that decide, by bisection."""
     few, enough = 1.0, 2.0

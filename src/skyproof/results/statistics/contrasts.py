@@ -1,7 +1,5 @@
 """Means of rates over series, differences of means with their intervals, and tests of them."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -55,7 +53,7 @@ class Group:
         return float(overall_attack_success_rate(self.counts.sum(axis=1)) @ self.factors)
 
     @cached_property
-    def easr(self) -> _Values:
+    def easr(self) -> "_Values":
         """EASR of every series, kept because it stands in many contrasts."""
         return _Values.of(self, overall_attack_success_rate)
 
@@ -125,7 +123,7 @@ class _Values:
     """Number of tiles, or vehicles where these are fewer, on which each series is defined."""
 
     @classmethod
-    def of(cls, group: Group, rate: RateFunction) -> _Values:
+    def of(cls, group: Group, rate: RateFunction) -> "_Values":
         counts, sample = group.counts, group.sample
         tiles, vehicles = sample.by_tile(counts), sample.by_vehicle(counts)
         total = tiles.sum(axis=1)
@@ -147,7 +145,7 @@ class _Values:
         )
 
     @classmethod
-    def joined(cls, each: Sequence[_Values]) -> _Values:
+    def joined(cls, each: "Sequence[_Values]") -> "_Values":
         """The series of all of them."""
         parts = zip(*(vars(values).values() for values in each), strict=True)
         return cls(*(np.concatenate(part, axis=-1) for part in parts))

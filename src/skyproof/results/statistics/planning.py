@@ -1,6 +1,5 @@
 """Planned tests: widths of intervals, chances of a decision, and the tiles that either takes."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +15,7 @@ from skyproof.results.statistics.acceptance import (
     Tiles,
     evidence_above,
     evidence_below,
+    fewest,
 )
 from skyproof.results.statistics.intervals import Sample, effective_limits, unanimous_margin
 
@@ -63,7 +63,7 @@ def tiles_needed(half_width: float, assumptions: Assumptions) -> int | None:
     def enough(tiles: int) -> bool:
         return expected_half_width(tiles, assumptions) <= half_width
 
-    return _fewest(enough, 2) if enough(_MOST_TILES) else None
+    return fewest(enough, 2) if enough(_MOST_TILES) else None
 
 
 def tiles_to_decide(requirement: Requirement, assumptions: Assumptions) -> int:
@@ -86,7 +86,7 @@ def tiles_to_decide(requirement: Requirement, assumptions: Assumptions) -> int:
         _, rejected = _chances(requirement, assumptions, tiles, requirement.reject)
         return rejected >= _DECIDED
 
-    return _fewest(enough, 4, 50)
+    return fewest(enough, 4, 50)
 
 
 def tiles_to_show(needed: int, scenes: int) -> int:
@@ -202,21 +202,6 @@ def _chances(
     accepted = evidence_below(simulated, requirement.reject) >= 1 / requirement.consumer_risk
     rejected = evidence_above(simulated, requirement.accept) >= 1 / requirement.producer_risk
     return float(accepted.mean()), float((rejected & ~accepted).mean())
-
-
-def _fewest(enough: Callable[[int], bool], start: int, precision: int | None = None) -> int:
-    """Gives the fewest tiles, `start` or more, that are enough; to a part of 1/`precision`."""
-    many = start
-    while not enough(many):
-        many *= 2
-    few = many // 2
-    while many - few > max(1, many // precision if precision else 1):
-        middle = (few + many) // 2
-        if enough(middle):
-            many = middle
-        else:
-            few = middle
-    return many
 
 
 def _unit_variance(easr: float, gained: float) -> float:

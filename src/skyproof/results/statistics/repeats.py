@@ -1,7 +1,5 @@
 """How far seeds, draws, searches and trainings move a mean of rates."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,7 +23,7 @@ class RepeatKind:
     name: str
     usual_sd: float
     largest_sd: float
-    paired: RepeatKind | None = None
+    paired: "RepeatKind | None" = None
 
 
 SEEDS = RepeatKind("seeds", 0.034, 0.046)
