@@ -98,7 +98,11 @@ def torchvision_network(architecture: str, **limits: Any) -> nn.Module:
         )
     build = {"fasterrcnn": detection.FasterRCNN, "maskrcnn": detection.MaskRCNN}.get(family)
     if build is not None:
-        return build(resnet_fpn_backbone(backbone_name=backbone, weights=None), 4, **limits)
+        return build(
+            resnet_fpn_backbone(backbone_name=backbone, weights=None, norm_layer=nn.BatchNorm2d),
+            4,
+            **limits,
+        )
     pyramid = resnet_fpn_backbone(
         backbone_name=backbone,
         weights=None,
@@ -115,7 +119,7 @@ def test_detections_are_those_of_torchvision(architecture: str) -> None:
     ours = livened(ImportedDetector("mine", replace(PLAN, architecture=architecture)))
     limits = {"min_size": 96, "max_size": 96}
     if "rcnn" in architecture:
-        limits |= {"box_score_thresh": 0.005, "box_detections_per_img": 10_000}
+        limits |= {"box_score_thresh": 0.01, "box_detections_per_img": 10_000}
     else:
         limits |= {
             "score_thresh": 0.01,
@@ -134,8 +138,8 @@ def test_detections_are_those_of_torchvision(architecture: str) -> None:
         vehicles = (want["labels"] == 2) & (want["boxes"][:, 2:] - want["boxes"][:, :2] > 0.5).all(
             dim=1
         )
-        scores, boxes = want["scores"][vehicles][:100], want["boxes"][vehicles][:100]
-        assert len(scores) > 20
+        scores, boxes = want["scores"][vehicles][:90], want["boxes"][vehicles][:90]
+        assert len(scores) > (20 if architecture in ONE_OF_EACH else 3)
         torch.testing.assert_close(found.scores[: len(scores)], scores, rtol=1e-4, atol=1e-5)
         torch.testing.assert_close(found.boxes[: len(scores)], boxes, rtol=1e-3, atol=1e-2)
 

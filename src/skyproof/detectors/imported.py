@@ -3,6 +3,7 @@
 import copy
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 import torch
@@ -191,16 +192,13 @@ def _torchvision_model(architecture: str, classes: int) -> Any:
         build = getattr(detection, architecture)
         return build(weights=None, weights_backbone=None, num_classes=classes)
     family, backbone, _ = architecture.split("_")
-    if family == "fasterrcnn":
-        pyramid = resnet_fpn_backbone(backbone_name=backbone, weights=None)
-        return detection.FasterRCNN(pyramid, classes)
-    # The levels are those of torchvision's RetinaNet on ResNet-50.
-    pyramid = resnet_fpn_backbone(
-        backbone_name=backbone,
-        weights=None,
-        returned_layers=[2, 3, 4],
-        extra_blocks=LastLevelP6P7(256, 256),
+    build = partial(
+        resnet_fpn_backbone, backbone_name=backbone, weights=None, norm_layer=nn.BatchNorm2d
     )
+    if family == "fasterrcnn":
+        return detection.FasterRCNN(build(), classes)
+    # The levels are those of torchvision's RetinaNet on ResNet-50.
+    pyramid = build(returned_layers=[2, 3, 4], extra_blocks=LastLevelP6P7(256, 256))
     return detection.RetinaNet(pyramid, classes)
 
 
