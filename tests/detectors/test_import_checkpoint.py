@@ -283,6 +283,8 @@ def stored_by_ultralytics(path: Path, file: str, names: list[str]) -> Any:
         yolo = YOLO(file)
     yolo.model.names = dict(enumerate(names))
     yolo.model.float().eval()
+    # As its trainer does.
+    yolo.ckpt = {"train_args": {"imgsz": 768}}
     yolo.save(str(path))
     return yolo.model
 
@@ -308,6 +310,7 @@ def test_an_ultralytics_checkpoint(
     assert card.brought is not None
     assert card.brought.vehicle_classes == [count - 1, count - 2]
     assert card.brought.classes == names
+    assert card.brought.side_px == loaded.window_px == 768
     assert {**card.validation, "threshold": card.threshold} == scores
     wanted = theirs.half().float()(IMAGES)[0][:, [4 + count - 1, 4 + count - 2]].amax(dim=1)
     torch.testing.assert_close(loaded.candidates(IMAGES).scores, wanted, rtol=1e-3, atol=1e-5)

@@ -480,6 +480,18 @@ def test_images_are_brought_to_the_networks_resolution_and_boxes_back(scale: flo
     assert (images.grad > 0).all()
 
 
+def test_windows_are_as_large_as_in_training() -> None:
+    def window_px(**change: Any) -> int:
+        return ImportedDetector("mine", replace(PLAN, **change)).window_px
+
+    assert window_px() == 800
+    assert window_px(side_px=1024) == 1024
+    assert window_px(side_px=1024, image_scale=2.0) == 512
+    # At most so many pixels are computed at once, and a window holds whole vehicles.
+    assert window_px(side_px=4096) == 2048
+    assert window_px(side_px=64) == 192
+
+
 def test_scaling_down_does_not_alias() -> None:
     detector = ImportedDetector("mine", replace(PLAN, image_scale=0.5))
     detector.network = Blobs()

@@ -11,7 +11,7 @@ from PIL import Image
 
 from skyproof.datasets.dataset import Dataset
 from skyproof.datasets.pictures import PictureInMemory, Window
-from skyproof.detectors.detector import Detections, Detector
+from skyproof.detectors.detector import Candidates, Detections, Detector, TrainableDetector
 from skyproof.detectors.inference import LARGEST_WHOLE_PX, covering_windows, detect_all
 from skyproof.imagery.frames import FramePicture
 
@@ -101,6 +101,30 @@ def test_windows_cover_every_pixel_and_overlap(side: int, width: int) -> None:
     assert {window.width for window in windows} == {width}
     assert (starts[0], starts[-1] + width) == (0, side)
     assert all(first + width - second >= 96 for first, second in itertools.pairwise(starts))
+
+
+def test_windows_are_those_that_the_detector_was_made_for() -> None:
+    image, boxes = spotted(1400, 1100, 130)
+    detector = Spots()
+    detector.window_px = 640
+    (found,) = detect_all(detector, Dataset.of_images([image], [boxes], gsd_m=0.125))
+    # Two of 640 px would overlap by less than a quarter.
+    assert {shape[2:] for shape in detector.shapes} == {(640, 576)}
+    # Larger windows are shown one by one.
+    assert {shape[0] for shape in detector.shapes} <= {1, 2}
+    assert by_place(found.boxes) == by_place(boxes)
+
+
+def test_a_larger_image_may_hold_more_vehicles_than_a_window() -> None:
+    class Everywhere(TrainableDetector):
+        def candidates(self, images: torch.Tensor) -> Candidates:
+            corners = torch.cartesian_prod(torch.arange(0, 380, 16), torch.arange(0, 380, 16))
+            boxes = torch.cat([corners, corners + 12], dim=1).float()[None]
+            return Candidates(boxes, torch.full((1, len(corners)), 0.5), torch.ones(1, 576) > 0)
+
+    for side_px, count in ((384, 100), (768, 400)):
+        (found,) = Everywhere().detect(torch.zeros(1, 3, side_px, side_px))
+        assert len(found.boxes) == count
 
 
 @pytest.mark.parametrize("scale", [0.25, 2.0, 4.0, 0.928, 3.7])

@@ -8,8 +8,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.detector import PADDING_GREY
-from skyproof.detectors.inference import WINDOW_PX
+from skyproof.detectors.detector import PADDING_GREY, WINDOW_PX
 from skyproof.detectors.settings import TrainingSettings
 
 

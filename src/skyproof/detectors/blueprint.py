@@ -94,7 +94,8 @@ class Blueprint:
     The kind is "torchvision", with a name as architecture and classes "0", "1", ..., or
     "ultralytics", with the content of its YAML. Vehicle classes are positions. `image_scale` is
     network pixels per image pixel, `norm_eps` the epsilon of the backbone's batch norm, if
-    torchvision's published weights use another one than its layers.
+    torchvision's published weights use another one than its layers. `side_px` is the side of the
+    images that the network was trained on, in its pixels, if the checkpoint tells.
     """
 
     kind: str
@@ -107,6 +108,7 @@ class Blueprint:
     norm_eps: Annotated[float, Meta(ge=0, le=1)] | None
     checkpoint: Annotated[str, Meta(max_length=1000)]
     checkpoint_sha256: Annotated[str, Meta(max_length=64)]
+    side_px: Annotated[int, Meta(ge=32, le=4096)] | None = None
 
     def __post_init__(self) -> None:
         check_ranges(self)

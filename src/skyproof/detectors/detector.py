@@ -22,10 +22,12 @@ Boxes = Float[Tensor, "_ 4"]
 SMALLEST_IMAGE_PX = 96
 PADDING_GREY = 0.45
 LOWEST_SCORE = 0.01
-_MOST_DETECTIONS = 100
+WINDOW_PX = 384
+"""The paper's tile: a window of 48 m holds at most 100 vehicles."""
+# Of a window; as in torchvision, an attacked one may have thousands of candidates above the lowest
+# score.
+_MOST_DETECTIONS, _MOST_CANDIDATES = 100, 1000
 SUPPRESSION_IOU = 0.5
-# As in torchvision: an attacked image may have thousands of candidates above the lowest score.
-_MOST_CANDIDATES = 1000
 
 
 @dataclass(frozen=True)
@@ -53,10 +55,12 @@ class Detector:
     Attributes:
         name: name in tables and file names.
         card: frozen threshold, resolution and origin; not set before a threshold is frozen.
+        window_px: side of the windows of a large image that it is shown.
     """
 
     name: str
     card: DetectorCard
+    window_px: int = WINDOW_PX
 
     def detect(self, images: Images) -> list[Detections]:
         """Finds vehicles in sRGB images in [0, 1]: all with score >= 0.01, after suppression."""
@@ -116,7 +120,8 @@ class TrainableDetector(nn.Module, Detector):
 
 
 def _suppress(candidates: Candidates, height_px: int, width_px: int) -> list[Detections]:
-    """Clips candidates to the image, and keeps at most 100 that do not overlap, best first."""
+    """Clips candidates to the image, and keeps the best that do not overlap, 100 of a window."""
+    windows = max(1, height_px * width_px // WINDOW_PX**2)
     found = []
     for boxes, scores, valid in zip(
         candidates.boxes, candidates.scores, candidates.valid, strict=True
@@ -125,9 +130,9 @@ def _suppress(candidates: Candidates, height_px: int, width_px: int) -> list[Det
         sides = clipped[:, 2:] - clipped[:, :2]
         keep = valid & (scores >= LOWEST_SCORE) & (sides > 0.5).all(dim=1)
         ordered, order = scores[keep].sort(descending=True, stable=True)
-        kept_scores = ordered[:_MOST_CANDIDATES]
-        kept_boxes = clipped[keep][order[:_MOST_CANDIDATES]]
-        best = ops.nms(kept_boxes, kept_scores, SUPPRESSION_IOU)[:_MOST_DETECTIONS]
+        kept_scores = ordered[: windows * _MOST_CANDIDATES]
+        kept_boxes = clipped[keep][order[: windows * _MOST_CANDIDATES]]
+        best = ops.nms(kept_boxes, kept_scores, SUPPRESSION_IOU)[: windows * _MOST_DETECTIONS]
         found.append(Detections(kept_boxes[best].detach(), kept_scores[best].detach().clamp(0, 1)))
     return found
 

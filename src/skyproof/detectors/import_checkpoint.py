@@ -155,8 +155,8 @@ def read_blueprint(
     digest = file_digest(checkpoint.path)
     tensors = len(state)
     architecture, classes, vehicles, eps = read(checkpoint, network, state, digest)
-    source = (checkpoint.path.name, digest)
-    plan = Blueprint(checkpoint.kind, architecture, classes, vehicles, scale, eps, *source)
+    rest = (checkpoint.path.name, digest, _side_px(content))
+    plan = Blueprint(checkpoint.kind, architecture, classes, vehicles, scale, eps, *rest)
     origin = f"{checkpoint.kind} checkpoint {checkpoint.path.name}"
     taken, *others = [repr(place[:100]) for place in places] or [""]
     if others:
@@ -165,6 +165,13 @@ def read_blueprint(
     if checkpoint.kind == "torchvision" and len(state) < tensors:
         origin += f", without {tensors - len(state)} tensors beside the network"
     return plan, state, origin
+
+
+def _side_px(content: Any) -> int | None:
+    """The side of the images that Ultralytics trained on, in pixels, if the file tells."""
+    settings = content.get("train_args") if isinstance(content, Mapping) else None
+    side = settings.get("imgsz") if isinstance(settings, Mapping) else None
+    return side if type(side) is int and 32 <= side <= 4096 else None
 
 
 def _torchvision(

@@ -48,6 +48,9 @@ _CLASS_ROWS = {
     "retinanet": ("head.classification_head.cls_logits.bias", 9),
 }
 
+# torchvision enlarges images to 800 px, Ultralytics trains on 640 px, if nothing else is asked.
+_USUAL_SIDES_PX = {"torchvision": 800, "ultralytics": 640}
+_WINDOWS_PX = (192, 2048)
 # Four times the largest image that is not split, and ten times the windows of larger ones.
 _LARGEST_SIDE_PX = 4096
 
@@ -62,6 +65,10 @@ class ImportedDetector(TrainableDetector):
         self.name = name
         self.image_scale = float(blueprint.image_scale)
         self._trainable = blueprint.trainable
+        # A network is used on windows as large as it was trained on.
+        side_px = (blueprint.side_px or _USUAL_SIDES_PX[blueprint.kind]) / self.image_scale
+        least, most = _WINDOWS_PX
+        self.window_px = round(min(max(side_px, least), most))
         # The libraries draw weights, which must not change the program's own draws.
         with torch.random.fork_rng(devices=[]):
             self.network = _network(blueprint)

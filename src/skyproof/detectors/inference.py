@@ -11,19 +11,16 @@ from torchvision import ops
 
 from skyproof.datasets.dataset import Dataset
 from skyproof.datasets.pictures import Picture, Window, made_ahead
-from skyproof.detectors.detector import SUPPRESSION_IOU, Detections, Detector
+from skyproof.detectors.detector import SUPPRESSION_IOU, WINDOW_PX, Detections, Detector
 
 LARGEST_WHOLE_PX = 1024
 """Images with a longer side are split into windows."""
 
-WINDOW_PX = 384
-"""The paper's tile: a window of 48 m holds at most the 100 vehicles that a detector can return."""
-
 _STRIDE_PX = 32
 """Networks pad images to a multiple of it."""
 
-# Two cars long.
-_WINDOW_OVERLAP_PX = 96
+# Two cars long in windows of 48 m.
+_OVERLAP_SHARE = 4
 # Two windows place the same vehicle differently by less than this.
 _SEAM_PX = 8
 _BATCH_SIZE = 16
@@ -40,9 +37,9 @@ def detect_by_each(detectors: Sequence[Detector], dataset: Dataset) -> list[list
     """Gives each detector's detections of every image, in its pixels, by falling score.
 
     Images are decoded batch by batch, once for all detectors. An image of more than 1024 px a side
-    is split into windows of at most 384 px that overlap by at least 96 px; the window whose core
-    holds a detection's centre keeps it, and duplicates at the seams are suppressed. So neither
-    memory nor a detector's largest number of detections limits the result on a large image.
+    is split into windows as large as the detector's at most, which overlap by a quarter; the window
+    whose core holds a detection's centre keeps it, and duplicates at the seams are suppressed. So
+    neither memory nor a largest number of detections limits the result on a large image.
     """
     sizes = dataset.sizes_px
     results: list[list[Detections]] = [[] for _ in detectors]
@@ -81,19 +78,19 @@ def device_of(thing: object) -> torch.device:
     return torch.device("cpu") if first is None else first.device
 
 
-def covering_windows(size_px: tuple[int, int]) -> list[Window]:
+def covering_windows(size_px: tuple[int, int], window_px: int = WINDOW_PX) -> list[Window]:
     """Covers a picture with equal windows, row by row; one covers a side shorter than its own."""
-    lefts, width = _starts(size_px[0])
-    tops, height = _starts(size_px[1])
+    lefts, width = _starts(size_px[0], window_px)
+    tops, height = _starts(size_px[1], window_px)
     return [Window(left, top, width, height) for top in tops for left in lefts]
 
 
-def _starts(side_px: int) -> tuple[list[int], int]:
+def _starts(side_px: int, window_px: int) -> tuple[list[int], int]:
     """The starts of the fewest windows along one side, and their smallest length."""
-    if side_px <= WINDOW_PX:
+    if side_px <= window_px:
         return [0], side_px
-    overlap_px = _WINDOW_OVERLAP_PX
-    count = math.ceil((side_px - overlap_px) / (WINDOW_PX - overlap_px))
+    overlap_px = window_px // _OVERLAP_SHARE
+    count = math.ceil((side_px - overlap_px) / (window_px - overlap_px))
     length = math.ceil((side_px + (count - 1) * overlap_px) / count / _STRIDE_PX) * _STRIDE_PX
     step = (side_px - length) / (count - 1)
     return [round(index * step) for index in range(count)], length
@@ -112,12 +109,13 @@ def _batches(sizes_px: Sequence[tuple[int, int]]) -> Iterator[list[int]]:
 
 def detect_in_windows(detector: Detector, picture: Picture) -> Detections:
     """Runs a detector over a picture window by window, and merges the detections."""
-    windows = covering_windows(picture.size_px)
+    windows = covering_windows(picture.size_px, detector.window_px)
+    at_once = max(1, _WINDOW_BATCH_SIZE * WINDOW_PX**2 // detector.window_px**2)
     around = zip(windows, _cores(windows), strict=True)
     views = picture.windows(windows)
     boxes: list[Tensor] = []
     scores: list[Tensor] = []
-    while images := list(itertools.islice(views, _WINDOW_BATCH_SIZE)):
+    while images := list(itertools.islice(views, at_once)):
         answers = detect_batch(detector, torch.stack(images))
         for found, (window, core) in zip(
             answers, itertools.islice(around, len(images)), strict=True

@@ -17,8 +17,7 @@ from skyproof.datasets.dataset import Dataset
 from skyproof.datasets.pictures import made_ahead
 from skyproof.detectors.batches import training_batch
 from skyproof.detectors.card import DetectorCard, installed_version
-from skyproof.detectors.detector import TrainableDetector
-from skyproof.detectors.inference import WINDOW_PX
+from skyproof.detectors.detector import WINDOW_PX, TrainableDetector
 from skyproof.detectors.loaded import load_detector, save_detector
 from skyproof.detectors.settings import TrainingSettings
 from skyproof.detectors.validation import check_validation, validate

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.card import LEAST_AP, DetectorCard, installed_version
-from skyproof.detectors.detector import LOWEST_SCORE, Detections, Detector
-from skyproof.detectors.inference import WINDOW_PX, detect_all
+from skyproof.detectors.detector import LOWEST_SCORE, WINDOW_PX, Detections, Detector
+from skyproof.detectors.inference import detect_all
 from skyproof.detectors.matching import MatchTable, match_images
 from skyproof.errors import ConfigurationError
 
