@@ -42,7 +42,6 @@ from skyproof.scenes.scene import BackgroundWindow, Camera, Placement, Scene, Su
 from skyproof.scenes.sensor import PAPER_BLUR_SIGMA_PX, Sensor
 from skyproof.scenes.settings import SceneSettings
 from skyproof.scenes.weather import CONDITIONS
-from skyproof.vehicles.bodies import BODY_RANGES
 from skyproof.vehicles.fleet import FleetSettings, mix_fleets, sample_fleet
 from skyproof.vehicles.settings import CATALOGUE_PAINTS, PaintVariety
 from skyproof.vehicles.vehicle import VehicleBatch
@@ -125,7 +124,7 @@ def cells(pictures: torch.Tensor, scale: int) -> list[Image.Image]:
 def draw_fleet(paints: PaintVariety = CATALOGUE_PAINTS, shapes: float = 0.0) -> Image.Image:
     """Four vehicles of each body type, fine above, as detectors see them below."""
     fleets = []
-    for index, body_type in enumerate(BODY_RANGES):
+    for index, body_type in enumerate(FleetSettings().weights):
         settings = FleetSettings(
             PER_TYPE,
             {body_type: 1.0},

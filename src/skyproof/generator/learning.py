@@ -31,7 +31,7 @@ from skyproof.generator.settings import LearnSettings
 from skyproof.generator.sheets import write_fit_sheets, write_sample_sheets
 from skyproof.loop import Loop, refuse_other
 from skyproof.scenes.backgrounds import BackgroundSet
-from skyproof.vehicles.bodies import BODY_RANGES
+from skyproof.vehicles.fleet import FleetSettings
 
 LEAST_VEHICLES = 50
 """Of fewer, a generator would only repeat them."""
@@ -102,7 +102,9 @@ def learn_vehicles(
             record = read_generator_record(folder)
             refuse_other(folder, {name: record.get(name) for name in short}, short, _OTHER)
             return record
-        prototypes = draw_prototypes(list(BODY_RANGES), settings.fit.bodies, settings.seed)
+        prototypes = draw_prototypes(
+            list(FleetSettings().weights), settings.fit.bodies, settings.seed
+        )
         fitters: list[Fitter] = []
         for each, (own, _) in zip(imagery, found, strict=True):
             fitter = Fitter(each.tiles, each.cleared, prototypes, settings.fit)
