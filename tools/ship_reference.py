@@ -3,7 +3,7 @@
     skyproof reproduce --preset reference --out runs/reference --cores 2
     python tools/ship_reference.py runs/reference
     skyproof assess retinanet --out runs/plain
-    skyproof harden runs/plain --data runs/reference/datasets/train --steps 3000 --out runs/hardened
+    skyproof harden runs/plain --data runs/reference/datasets/train --steps 2000 --out runs/hardened
     python tools/ship_reference.py runs/reference --hardened runs/hardened
 
 Weights are halved. What is told of the detectors is measured on the halved ones: the threshold and
@@ -66,7 +66,7 @@ on your imagery `skyproof precheck` tells.
 skyproof reproduce --preset reference --out runs/reference --cores 2
 python tools/ship_reference.py runs/reference
 skyproof assess retinanet --out runs/plain
-skyproof harden runs/plain --data runs/reference/datasets/train --steps 3000 --out runs/hardened
+skyproof harden runs/plain --data runs/reference/datasets/train --steps 2000 --out runs/hardened
 python tools/ship_reference.py runs/reference --hardened runs/hardened
 ```
 
