@@ -116,7 +116,7 @@ def test_camouflages_climb_the_loss_that_the_detector_descends(
     for name, value in (("_LIFE_STEPS", 80), ("_ALIVE", 1), ("ATTACKS", ("T-U",))):
         monkeypatch.setattr(hardening, name, value)
     # The detector hardly moves, so only the camouflage does.
-    still = dataclasses.replace(SETTINGS, steps=30, learning_rate=1e-9, checkpoint_every=30)
+    still = dataclasses.replace(SETTINGS, steps=60, learning_rate=1e-9, checkpoint_every=60)
     detector, _ = run(rendered, tmp_path / "out", settings=still)
     (climber,) = made
     ((_, start, _),) = hardening._Worn(3, torch.rand(5, 3), torch.device("cpu"))._alive
