@@ -51,7 +51,7 @@ _CLASS_ROWS = {
 # torchvision enlarges images to 800 px, Ultralytics trains on 640 px, if nothing else is asked.
 _USUAL_SIDES_PX = {"torchvision": 800, "ultralytics": 640}
 _WINDOWS_PX = (192, 2048)
-# Four times the largest image that is not split, and ten times the windows of larger ones.
+# Four times the largest image that is not split.
 _LARGEST_SIDE_PX = 4096
 
 

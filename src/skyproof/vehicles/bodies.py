@@ -71,7 +71,7 @@ class BodyDimensions:
 # 1.68, 2.68), one-tonne crew cab pickups (Ford Ranger 5.37 x 1.92 x 1.88, 3.27; Toyota Hilux 5.33 x
 # 1.86 x 1.82, 3.09), vans (VW Transporter 4.90 x 1.90 x 1.99, 3.00; Ford Transit Custom 5.05 x 2.03
 # x 2.00, 3.10; Mercedes Sprinter 5.93 x 2.02 x 2.60, 3.67). Stations, rakes and heights between are
-# our estimates, and so are buses and lorries, at most 2.55 m wide as the law has it in Europe.
+# our estimates, and so are those of buses and lorries. 2.55 m is the legal width in Europe.
 BODY_RANGES = msgspec.json.decode(
     Path(__file__).with_name("bodies.json").read_bytes(),
     type=dict[str, dict[str, tuple[float, float]]],

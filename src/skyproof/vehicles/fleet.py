@@ -34,7 +34,7 @@ _LARGEST_M = 100.0
 _CAR_WEIGHTS = {"saloon": 0.18, "hatchback": 0.28, "estate": 0.14, "suv": 0.26}
 _WEIGHTS = {**_CAR_WEIGHTS, "pickup": 0.04, "van": 0.10}
 TRAINING_WEIGHTS = {**_WEIGHTS, "bus": 0.02, "lorry": 0.02}
-"""Body types to train with: detectors that met no bus found one in five on photographs."""
+"""Body types to train with: a detector that met no bus found one of 27 on photographs."""
 
 
 @dataclass(frozen=True)
