@@ -126,6 +126,7 @@ class ShipReference:
                 sources[Path(scratch) / name] = Layout(self.hardened).detector("retinanet")
             rows = []
             for folder, source in sources.items():
+                # Each alone, because a precheck tells detectors apart by their names.
                 change = _halve(layout, source, folder)
                 replace(check, detectors=(folder,)).run()
                 rows.append(_row(folder, change))

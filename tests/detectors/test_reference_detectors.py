@@ -11,9 +11,8 @@ from safetensors.torch import load_file
 import skyproof as sp
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.card import (
-    HARDENED_DETECTORS,
-    REFERENCE_DETECTORS,
     REFERENCE_FOLDER,
+    SHIPPED_DETECTORS,
     reference_folder,
 )
 from skyproof.detectors.detector import Detections
@@ -29,7 +28,6 @@ from skyproof.scenes.sampling import sample_scenes
 from skyproof.scenes.settings import SceneSettings
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 
-SHIPPED = (*REFERENCE_DETECTORS, *HARDENED_DETECTORS)
 SCENES, SIDE_PX = 24, 128
 LARGEST_BYTES = 5_000_000
 
@@ -56,7 +54,7 @@ def recall_and_precision(found: list[Detections], images: Dataset, threshold: fl
     return hits / table.vehicles, hits / max(hits + alarms, 1)
 
 
-@pytest.mark.parametrize("name", SHIPPED)
+@pytest.mark.parametrize("name", SHIPPED_DETECTORS)
 def test_they_find_vehicles_at_their_frozen_threshold(name: str, images: Dataset) -> None:
     judge = load_detector(name)
     found = detect_all(judge, images)
@@ -67,7 +65,7 @@ def test_they_find_vehicles_at_their_frozen_threshold(name: str, images: Dataset
     assert validate(judge, images)["f1"] < 2 / (1 / recall + 1 / precision) + 0.1
 
 
-@pytest.mark.parametrize("name", SHIPPED)
+@pytest.mark.parametrize("name", SHIPPED_DETECTORS)
 def test_halves_are_stored_and_single_precision_is_computed_with(name: str) -> None:
     path = REFERENCE_FOLDER / name / "weights.safetensors"
     assert path.stat().st_size <= LARGEST_BYTES
@@ -84,7 +82,7 @@ def test_halves_are_stored_and_single_precision_is_computed_with(name: str) -> N
 
 
 def test_their_check_is_of_these_very_weights() -> None:
-    for name in SHIPPED:
+    for name in SHIPPED_DETECTORS:
         record, card = read_precheck(REFERENCE_FOLDER / name), load_detector(name).card
         assert (record.weights_sha256, record.threshold) == (card.weights_sha256, card.threshold)
         assert record.measured_on.sources == ("procedural",)
@@ -95,9 +93,9 @@ def test_how_they_were_made_is_told_beside_them() -> None:
     page = (REFERENCE_FOLDER / "README.md").read_text(encoding="utf-8")
     assert "Apache-2.0" in page
     assert "skyproof reproduce --preset reference" in page
-    for name in SHIPPED:
+    for name in SHIPPED_DETECTORS:
         assert f"{load_detector(name).threshold:.3f}" in page
-    assert {path.name for path in REFERENCE_FOLDER.iterdir()} == {"README.md", *SHIPPED}
+    assert {path.name for path in REFERENCE_FOLDER.iterdir()} == {"README.md", *SHIPPED_DETECTORS}
 
 
 @pytest.mark.parametrize("name", ["yolov5", "../retinanet", ""])

@@ -23,6 +23,9 @@ REFERENCE_DETECTORS = ("retinanet", "faster_rcnn")
 HARDENED_DETECTORS = ("retinanet_hardened",)
 """Reference detectors after `skyproof harden`, to set beside the plain ones."""
 
+SHIPPED_DETECTORS = (*REFERENCE_DETECTORS, *HARDENED_DETECTORS)
+"""All whose name serves as a detector folder."""
+
 REFERENCE_FOLDER = Path(__file__).with_name("reference")
 
 LEAST_AP = 0.2
@@ -162,11 +165,10 @@ def require_detector_name(name: str, remedy: str) -> None:
 
 def reference_folder(name: str) -> Path:
     """Returns the folder of a detector that ships with skyproof; refuses the name of another."""
-    shipped = (*REFERENCE_DETECTORS, *HARDENED_DETECTORS)
-    if name not in shipped:
+    if name not in SHIPPED_DETECTORS:
         raise ConfigurationError(
-            f"{name[:100]!r} does not come trained, only {listed(shipped)} do; train it (skyproof "
-            "train), or name one of these."
+            f"{name[:100]!r} does not come trained, only {listed(SHIPPED_DETECTORS)} do; train it "
+            "(skyproof train), or name one of these."
         )
     return REFERENCE_FOLDER / name
 
@@ -174,8 +176,7 @@ def reference_folder(name: str) -> Path:
 def detector_folder(place: str | Path) -> Path:
     """The folder of a path, or of the name of a detector that ships; an own folder goes first."""
     folder = Path(place)
-    shipped = (*REFERENCE_DETECTORS, *HARDENED_DETECTORS)
-    named = str(place) in shipped and not folder.exists()
+    named = str(place) in SHIPPED_DETECTORS and not folder.exists()
     return REFERENCE_FOLDER / folder.name if named else folder
 
 

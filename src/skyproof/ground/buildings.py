@@ -83,7 +83,7 @@ def _flat_roof(canvas: Canvas, patch: Patch) -> None:
 def _roof_furniture(
     canvas: Canvas, place: Place, size_m: Place, angle_rad: float, kind: str
 ) -> None:
-    """Puts lights, solar panels, chimneys, air conditioning on a roof: boxes on a plain."""
+    """Puts roof lights, solar panels, a chimney and air conditioning on some roofs."""
     rng = canvas.rng
     half_u, half_v = size_m[0] / 2 - 1.2, size_m[1] / 2 - 1.2
     if half_u <= 0.5 or half_v <= 0.5 or kind == "village":
@@ -115,8 +115,8 @@ def _roof_lights(canvas: Canvas, place: Place, half_m: Place, angle_rad: float) 
     frame, pane = canvas.pick(_FRAMES), canvas.pick(_FRAMES if large else _PANES)
     rings = ((0.0, frame, rise_m), (0.3, frame * 0.6, 0.0), (0.45, pane, 0.0))
     for u_m in np.arange(0.5 - half_m[0], half_m[0] - 0.5, width_m + rng.uniform(0.8, 3)).tolist():
+        spot = beside(place, angle_rad, u_m, row_v)
         for inset_m, tone, higher_m in rings:
-            spot = beside(place, angle_rad, u_m, row_v)
             ring = canvas.rectangle(spot, (width_m - inset_m, length_m - inset_m), angle_rad)
             canvas.raise_to(ring, canvas.height[ring.rows, ring.columns] + higher_m)
             canvas.paint(ring, tone * rng.uniform(0.9, 1.1))

@@ -73,7 +73,7 @@ def mark_arrow(canvas: Canvas, place: Place, angle_rad: float) -> None:
 
 
 def _dashes(rng: np.random.Generator) -> tuple[float, float]:
-    """Draws the lengths of a line's dashes and gaps, often those of lanes on most roads."""
+    """Draws the lengths of a line's dashes and gaps; half are those of usual lane lines."""
     if rng.random() < 0.5:
         return 3.0, rng.uniform(3.0, 6.0)
     dash_m = math.exp(rng.uniform(math.log(0.5), math.log(6.0)))

@@ -29,6 +29,7 @@ from skyproof.detectors.training import add_gradients, fit
 from skyproof.randomness import generator_of
 from skyproof.render.frames import Frames
 from skyproof.scenes.scene import Scene
+from skyproof.scenes.settings import TRAINING_MARGIN_M
 
 # T-PixFcMa, shapes and combinations are left out, so that they show whether hardening carries over.
 ATTACKS = ("T-U", "T-Ma", "T-Pix")
@@ -126,7 +127,7 @@ def _draw(
         vehicles_maximum=_MOST_VEHICLES,
         conditions=WEATHER,
         empty_share=empty,
-        margin_m=0.5,
+        margin_m=TRAINING_MARGIN_M,
     )
     return replace(world, scenes=settings).draw(count, generator=generator)
 

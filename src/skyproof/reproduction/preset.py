@@ -27,7 +27,7 @@ from skyproof.ranges import (
 )
 from skyproof.scenes.places import Places
 from skyproof.scenes.sensor import BlurChoice
-from skyproof.scenes.settings import SceneSettings
+from skyproof.scenes.settings import TRAINING_MARGIN_M, SceneSettings
 from skyproof.scenes.weather import CONDITIONS, MIXED_CONDITIONS
 from skyproof.vehicles.settings import PaintVariety
 
@@ -111,7 +111,6 @@ class WorldSizes:
         if split in ("train", "validation"):
             # A threshold that is chosen on clear days raises false alarms elsewhere, so validation
             # has what training has. It has more empty ground, though: precision depends on it.
-            # Photographs show vehicles that their edges cut in half, so these images do.
             uniform = self.training_places == "uniform"
             return replace(
                 usual,
@@ -121,7 +120,7 @@ class WorldSizes:
                 shaded_share=self.shaded_share if uniform else 0.0,
                 empty_share=self.empty_share if split == "train" else EMPTY_IN_VALIDATION,
                 conditions=self.training_conditions,
-                margin_m=0.5,
+                margin_m=TRAINING_MARGIN_M,
             )
         if split == "empty":
             return replace(usual, vehicles_minimum=0, vehicles_maximum=0)

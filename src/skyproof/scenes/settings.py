@@ -17,6 +17,9 @@ _Vehicles = Annotated[int, Meta(ge=0, le=MOST_PLACEMENTS)]
 _TILT_RAD = math.radians(20)
 _LOWEST_SUN_RAD = math.radians(25)
 _HIGHEST_SUN_RAD = math.radians(65)
+TRAINING_MARGIN_M = 0.5
+"""Margin of images to train on: photographs show vehicles that their edges cut in half."""
+
 _Clearance = Annotated[float, Meta(ge=0, le=1000)]
 
 

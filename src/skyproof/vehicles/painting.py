@@ -14,7 +14,7 @@ GLASS_SRGB = (0.060, 0.070, 0.080)
 """What shows through panes, nearly nothing; single vehicles have 0.75 to 1.45 times as much."""
 
 LARGE = ("bus", "lorry")
-"""Body types that are painted as vans, and then their roofs."""
+"""Body types that are painted as vans, with other roofs."""
 
 _BLACK = (0.06, 0.06, 0.065)
 _RUBBER = (0.075, 0.075, 0.075)
@@ -38,8 +38,7 @@ def paint_vehicle(
 
     Colours of body panels and panes, sRGB in [0, 1], are drawn if None, with the same other draws.
     """
-    large = body_type in LARGE
-    body_type, name = "van" if large else body_type, body_type
+    name, body_type = body_type, "van" if body_type in LARGE else body_type
     _, drawn_paint = sample_paint(body_type, generator=generator)
     paint = drawn_paint if paint is None else paint
     chance = torch.rand(12, generator=generator).tolist()
@@ -55,7 +54,7 @@ def paint_vehicle(
     _paint_roof(canvas, body_type, glass, chance[4:9])
     if body.dimensions.bed_depth:
         _paint_bed(canvas, paint if chance[9] < 0.4 else torch.tensor([0.12, 0.12, 0.125]))
-    if large:
+    if name in LARGE:
         _paint_large(canvas, name, paint, generator=generator)
     if coat == "plain" and chance[11] < 0.5:
         # Neither a pane nor a wheel may be what tells a vehicle from a thing of its colour.
