@@ -26,28 +26,42 @@ _SEARCH_PX = 112
 _RING_PX = 7
 """Width of the known ring around a hole, which the copied ground's ring must resemble."""
 _PIECE_PX = 72
-"""Larger holes are filled piece by piece, each about this wide."""
-_SHIFTS = 4
-"""Most places of the ground copied into one piece; each fills the side that it suits."""
-_PLAINNESS = 0.3
+"""Larger holes are filled piece by piece, each about this wide and copied from one place."""
+_POOR = 0.012
+"""Cost of a copy, as the square of a value, above which a piece is halved."""
+_LEAST_PX = 24
+"""Side of pieces that are not halved."""
+_PLAINNESS = 0.15
 """Weight of the copied ground's contrast against the ring's mismatch: plain ground is preferred."""
 _HOLD = 0.02
 """Weight of the copied ground's values, levelled as a whole, against a joint without a step."""
 _BRIGHTNESS_FREEDOM = 0.7
 """Share of an even difference in brightness that is no mismatch, because it is levelled."""
-_TRUNCATE = 8.0
-"""Standard deviations after which a weight counts as nothing."""
 _SEEN_SHARE = 0.6
 """Smallest share of a shifted ring on ground that may be compared."""
 
 
 @dataclass(frozen=True)
 class _Window:
-    """A part of the picture around one piece: `[H, W, 3]`, known pixels, the hole to fill."""
+    """A part of the picture around one piece.
+
+    Attributes:
+        values: `[H, W, 3]`.
+        known: where the values are known.
+        hole: where they are to be filled.
+        sound: ground that may be copied.
+    """
 
     values: Array
     known: Flags
     hole: Flags
+    sound: Flags
+
+    @property
+    def ring(self) -> Flags:
+        """The known pixels around the hole."""
+        near = ndimage.binary_dilation(self.hole, iterations=_RING_PX)
+        return near & ~self.hole & self.known
 
 
 def fill_ground(image: Pixels, mask: Bool[Tensor, "H W"]) -> Pixels:
@@ -61,20 +75,27 @@ def fill_by_exemplar(image: Array, mask: Flags) -> Array:
     """Returns `[H, W, 3]` with `mask` filled with ground of the same picture, unchanged elsewhere.
 
     The known ring around a piece of a hole is compared with the same ring at all shifts within a
-    reach. Each of the best shifts fills the side that it suits best. Without any, the colours of
-    the hole's edge go on into it smoothly.
+    reach, and the piece is copied from the best one. Where even that one resembles it poorly, the
+    piece is halved: large pieces keep lines whole, small ones find ground that fits. Without any
+    shift, the colours of the hole's edge go on into it smoothly.
     """
     filled = image.copy()
     unknown = mask.copy()
     smooth = None
-    # Small holes come first: once filled, they belong to the large ones' rings, but are never
-    # copied.
-    for piece in sorted(_pieces(mask), key=lambda piece: int(piece.sum())):
-        rows, columns = _around(piece, _SEARCH_PX + _RING_PX + 1)
-        window = _Window(filled[rows, columns], ~unknown[rows, columns], piece[rows, columns])
-        result = _fill(window, ~mask[rows, columns])
-        if result is not None:
-            filled[rows, columns] = result
+    left = _pieces(mask, _PIECE_PX)
+    while left:
+        # Small ones come first: once filled, they belong to the large ones' rings, but are never
+        # copied. Halves are smaller than all that are left.
+        piece = left.pop()
+        place = _around(piece, _SEARCH_PX + _RING_PX + 1)
+        window = _Window(filled[place], ~unknown[place], piece[place], ~mask[place])
+        cost, shift = _best_shift(window)
+        side_px = max(side.stop - side.start for side in _around(piece, 0))
+        if cost > _POOR and side_px > _LEAST_PX:
+            left += _pieces(piece, math.ceil(side_px / 2))
+            continue
+        if math.isfinite(cost):
+            filled[place] = _copy(window, shift)
         else:
             smooth = _smooth(image, mask) if smooth is None else smooth
             filled[piece] = smooth[piece]
@@ -84,26 +105,26 @@ def fill_by_exemplar(image: Array, mask: Flags) -> Array:
 
 def _smooth(image: Array, mask: Flags) -> Array:
     """Fills the mask by Laplace's equation, or with the mean colour without a known edge."""
-    even = np.broadcast_to(image[~mask].mean(axis=0), (1, *image.shape))
-    return _join(_Window(image, ~mask, mask), even, np.zeros(mask.shape, np.int64), hold=1e-6)
+    even = np.broadcast_to(image[~mask].mean(axis=0), image.shape)
+    return _join(_Window(image, ~mask, mask, ~mask), even, hold=1e-6)
 
 
-def _pieces(mask: Flags) -> list[Flags]:
-    """Divides the connected holes, large ones into about square pieces."""
+def _pieces(mask: Flags, longest_px: int) -> list[Flags]:
+    """Divides the connected holes, long ones into about square pieces; the largest come first."""
     labels, _ = ndimage.label(mask, structure=np.ones((3, 3)))
     pieces = []
     for number, found in enumerate(ndimage.find_objects(labels), start=1):
         cuts = []
         for side in found:
             length = side.stop - side.start
-            count = math.ceil(length / _PIECE_PX)
+            count = math.ceil(length / longest_px)
             cuts.append([side.start + length * each // count for each in range(count + 1)])
         for (top, bottom), (left, right) in itertools.product(*map(itertools.pairwise, cuts)):
             part = np.zeros_like(mask)
             part[top:bottom, left:right] = labels[top:bottom, left:right] == number
             if part.any():
                 pieces.append(part)
-    return pieces
+    return sorted(pieces, key=lambda piece: -int(piece.sum()))
 
 
 def _around(flags: Flags, margin_px: int) -> tuple[slice, slice]:
@@ -115,25 +136,21 @@ def _around(flags: Flags, margin_px: int) -> tuple[slice, slice]:
     return rows, columns
 
 
-def _fill(window: _Window, sound: Flags) -> Array | None:
-    """Fills the window's hole; None if no shift copies sound ground alone."""
-    near = ndimage.binary_dilation(window.hole, iterations=_RING_PX)
-    ring = near & ~window.hole & window.known
+def _copy(window: _Window, shift: Shift) -> Array:
+    """Fills the hole from a shift away, levelled as the ring asks."""
+    seen = window.ring & _shifted(window.sound, shift)
+    copy = _shifted(window.values, shift)
+    return _join(window, copy + np.median((window.values - copy)[seen], axis=0), _HOLD)
+
+
+def _best_shift(window: _Window) -> tuple[float, Shift]:
+    """Finds the shift (down, across) at which the ring looks most alike.
+
+    Its cost is infinite where no shift copies sound ground alone.
+    """
+    ring, sound = window.ring, window.sound
     if not ring.any():
-        return None
-    shifts = _best_shifts(window, ring, sound)
-    if not shifts:
-        return None
-    copies = []
-    for shift in shifts:
-        seen = ring & _shifted(sound, shift)
-        copy = _shifted(window.values, shift)
-        copies.append(copy + np.median((window.values - copy)[seen], axis=0))
-    return _join(window, np.stack(copies), _serve_sides(window, ring, sound, shifts), _HOLD)
-
-
-def _best_shifts(window: _Window, ring: Flags, sound: Flags) -> list[Shift]:
-    """Finds shifts (down, across) at which the ring looks the same, best first."""
+        return math.inf, (0, 0)
     # Room for the largest shift, so that none wraps around.
     size = tuple(fft.next_fast_len(side + _SEARCH_PX, real=True) for side in ring.shape)
 
@@ -172,45 +189,12 @@ def _best_shifts(window: _Window, ring: Flags, sound: Flags) -> list[Shift]:
         inside = correlate(hole_spectrum, field) / window.hole.sum()
         contrast += correlate(hole_spectrum, squares) / window.hole.sum() - inside**2
     cost = np.where(valid, np.maximum(mismatch, 0) + _PLAINNESS * np.maximum(contrast, 0), np.inf)
-    # Shifts in the order of a Fourier transform.
-    signed = (fft.fftfreq(side, 1 / side).round().astype(np.int64) for side in size)
-    down, across = np.meshgrid(*signed, indexing="ij")
-    cost[np.maximum(abs(down), abs(across)) > _SEARCH_PX] = np.inf
-    # The cheapest shifts that are not neighbours.
-    chosen: list[Shift] = []
-    best = math.inf
-    while len(chosen) < _SHIFTS:
-        at = int(cost.argmin())
-        lowest = float(cost.flat[at])
-        best = min(best, lowest)
-        # A place much worse than the best one shows other ground.
-        if not math.isfinite(lowest) or lowest > 2 * best + 1e-4:
-            break
-        shift = int(down.flat[at]), int(across.flat[at])
-        chosen.append(shift)
-        cost[(abs(down - shift[0]) <= 3) & (abs(across - shift[1]) <= 3)] = np.inf
-    return chosen
-
-
-def _serve_sides(
-    window: _Window, ring: Flags, sound: Flags, shifts: list[Shift]
-) -> NDArray[np.int64]:
-    """Gives each pixel of the hole the number of the shift that mismatches the near ring least."""
-    reach_px = 0.15 * math.sqrt(window.hole.sum()) + 2
-    # Only the hole's pixels are asked for, and farther away nothing reaches them.
-    margin_px = math.ceil(_TRUNCATE * reach_px) + 1
-    part = _around(window.hole, margin_px)
-    choice = np.zeros(window.hole.shape, np.int64)
-    costs = []
-    for shift in shifts:
-        seen = (ring & _shifted(sound, shift))[part]
-        weight = ndimage.gaussian_filter(seen.astype(float), reach_px, truncate=_TRUNCATE) + 1e-12
-        apart = window.values[part] - _shifted(window.values, shift)[part]
-        difference = np.where(seen, (apart**2).sum(2), 0.0)
-        blurred = ndimage.gaussian_filter(difference, reach_px, truncate=_TRUNCATE)
-        costs.append(blurred / weight)
-    choice[part] = np.argmin(costs, axis=0)
-    return choice
+    # Rows and columns are shifts in the order of a Fourier transform.
+    down, across = (fft.fftfreq(side, 1 / side).round().astype(int) for side in size)
+    cost[abs(down) > _SEARCH_PX] = np.inf
+    cost[:, abs(across) > _SEARCH_PX] = np.inf
+    row, column = np.unravel_index(cost.argmin(), size)
+    return float(cost[row, column]), (int(down[row]), int(across[column]))
 
 
 def _shifted(values: NDArray[Any], shift: Shift) -> NDArray[Any]:
@@ -218,20 +202,19 @@ def _shifted(values: NDArray[Any], shift: Shift) -> NDArray[Any]:
     return np.roll(values, (-shift[0], -shift[1]), axis=(0, 1))
 
 
-def _join(window: _Window, copies: Array, choice: NDArray[np.int64], hold: float) -> Array:
+def _join(window: _Window, copy: Array, hold: float) -> Array:
     """Solves a screened Poisson equation in the hole.
 
-    Neighbours differ as in `copies` `[S, H, W, 3]`, chosen by `choice`; `hold` is their own weight.
+    Neighbours differ as in `copy` `[H, W, 3]`; `hold` is the weight of its own values.
     """
     # The numbered pixels of the hole are the unknowns.
     rows, columns = np.nonzero(window.hole)
     number = np.full(window.hole.shape, -1)
     number[rows, columns] = np.arange(len(rows))
-    shift_here = choice[rows, columns]
     count = np.zeros(len(rows))
     right = np.zeros((len(rows), 3))
     links: list[tuple[NDArray[np.int64], NDArray[np.int64]]] = []
-    # Every pixel should differ from its four neighbours as the copies do.
+    # Every pixel should differ from its four neighbours as the copy does.
     for down, across in ((0, 1), (1, 0), (0, -1), (-1, 0)):
         to_row = (rows + down).clip(0, window.hole.shape[0] - 1)
         to_column = (columns + across).clip(0, window.hole.shape[1] - 1)
@@ -239,10 +222,7 @@ def _join(window: _Window, copies: Array, choice: NDArray[np.int64], hold: float
         in_hole, fixed = window.hole[to_row, to_column], window.known[to_row, to_column]
         # There is no condition at the picture's edge and at pieces still to be filled.
         asked = inside & (in_hole | fixed)
-        shift_there = np.where(in_hole, choice[to_row, to_column], shift_here)
-        step = copies[shift_here, rows, columns] - copies[shift_here, to_row, to_column]
-        step = step + copies[shift_there, rows, columns] - copies[shift_there, to_row, to_column]
-        step = step / 2
+        step = copy[rows, columns] - copy[to_row, to_column]
         count += asked
         right += np.where(asked[:, None], step, 0.0)
         on_ring = asked & ~in_hole
@@ -252,7 +232,7 @@ def _join(window: _Window, copies: Array, choice: NDArray[np.int64], hold: float
     start, end = (np.concatenate([link[side] for link in links]) for side in (0, 1))
     matrix = sparse.csc_array((-np.ones(len(start)), (start, end)), shape=(len(rows), len(rows)))
     matrix = matrix + sparse.diags_array(count + hold)
-    solved = splu(matrix.tocsc()).solve(right + hold * copies[shift_here, rows, columns])
+    solved = splu(matrix.tocsc()).solve(right + hold * copy[rows, columns])
     filled = window.values.copy()
     filled[rows, columns] = solved
     return filled
