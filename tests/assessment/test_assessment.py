@@ -163,8 +163,9 @@ def test_a_run_stops_where_no_verdict_is_possible_any_more(tmp_path):
     place = tmp_path / "run/detectors/mine"
     shutil.copytree(reference_folder("retinanet"), place)
     record = json.loads((place / "precheck.json").read_text())
-    # Stripes hide half of the vehicles from it.
-    record["rates"] = [rate for rate in record["rates"] if rate["kind"] != "control"]
+    # As if nothing surely hid vehicles from it.
+    for rate in record["rates"]:
+        rate["easr_low"] = min(rate["easr_low"], 0.0)
 
     def stop(easr, **changes):
         record["rates"][0] |= {"easr": easr, "easr_low": easr - 0.02, "easr_high": easr + 0.02}
@@ -348,12 +349,12 @@ def test_images_cover_the_same_ground_at_every_resolution(gsd_m, image_px, attac
     assert (its.image_px, its.attack_px) == (image_px, attack_px)
 
 
-def test_version_eight_is_frozen():
+def test_version_nine_is_frozen():
     """Another suite is another version: numbers of one cannot be compared with the other's."""
-    assert SUITE.version == 8
+    assert SUITE.version == 9
     assert (
         file_digest(SUITE_FILE)
-        == "8f3ab48a0a5db5aef7843df2ee592015e0ed89fc7895b649f1445044a11162db"
+        == "fd0d338acacb84026fee4393e8f5ec3cf2e24bd588b23f20137d6fb6f8623c66"
     )
 
 

@@ -73,7 +73,7 @@ def test_from_a_detector_folder_to_a_report(assessed):
     (worst,) = results["worst_cases"]
     assert worst["attacks"] == list(TINY.attacks)
     config = json.loads((assessed / "run/config.json").read_text())
-    assert config["suite"]["version"] == 8
+    assert config["suite"]["version"] == 9
     assert config["imagery"] == "procedural"
     check = json.loads((assessed / "run/detectors/retinanet/precheck.json").read_text())
     # What was measured when the detector was made is not what is found here.

@@ -62,10 +62,15 @@ def test_a_detector_that_failed_its_check_certifies_nothing(tmp_path, skyproof: 
     detector = tmp_path / "detector"
     shutil.copytree(reference_folder("retinanet"), detector)
     call = ("clear", folder, "--detector", detector, "--device", "cpu")
+    check = json.loads((detector / "precheck.json").read_text())
+    # As if nothing but random controls surely hid vehicles from it.
+    for rate in check["rates"]:
+        if rate["kind"] != "control":
+            rate["easr_low"] = min(rate["easr_low"], 0.0)
+    (detector / "precheck.json").write_text(json.dumps(check))
     answer = skyproof(*call, "--out", tmp_path / "good")
     assert answer.code == 0
     assert "Not checked by a detector" not in answer.out
-    check = json.loads((detector / "precheck.json").read_text())
     check["sets"][0]["ap_centre_1m"] = check["sets"][0]["ap_centre_1m_high"] = 0.4
     check["sets"][0]["ap_centre_1m_low"] = 0.3
     (detector / "precheck.json").write_text(json.dumps(check))

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -51,7 +52,8 @@ def test_second_call_changes_nothing(finished: Path, skyproof: Skyproof) -> None
     for extra in ([], ["--device", "auto"]):
         answer = skyproof(*TINY, "--out", finished, *extra)
         assert answer.code == 0
-        assert "T-U hides " in answer.out
+        # Four steps need not hide anything.
+        assert re.search("T-U (hides|is found) ", answer.out)
         assert str(finished / "report.html") in answer.out.replace("\n", "")
     assert {path: path.stat().st_mtime_ns for path in finished.rglob("*")} == before
     skyproof(*TINY, "--out", finished, "--gsd", 0.2).refused("--gsd", "--imagery")

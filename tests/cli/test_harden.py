@@ -132,8 +132,16 @@ def test_for_a_detector_that_is_trained_elsewhere_images_are_rendered(
     # They can be put into one folder.
     assert len({path.name for path in out.glob("datasets/*/images/*")}) == 14
     # The ground is not that of the test.
-    tiles = {scene.background.tile for scene in read_scenes(out / "datasets/paints/scenes.jsonl")}
+    scenes = read_scenes(out / "datasets/paints/scenes.jsonl")
+    tiles = {scene.background.tile for scene in scenes}
     assert tiles <= {tile.id for tile in BackgroundSet.open(out / "backgrounds").tiles("attack")}
+    # Some vehicles are cut by the image's edge.
+    reaches_m = [
+        scene.camera.size_px * scene.camera.gsd_m / 2 - max(abs(at.x_m), abs(at.y_m))
+        for scene in scenes
+        for at in scene.placements
+    ]
+    assert min(reaches_m) < 1.9
     shutil.rmtree(out / "datasets/T-U")
     finished = bytes_of(out / "datasets/paints")
     assert skyproof("harden", of_answers, "--out", out).code == 0

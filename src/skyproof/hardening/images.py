@@ -24,7 +24,7 @@ from skyproof.results.result import MAIN_MATCH
 from skyproof.results.results import RENDERER, Results
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.places import Places
-from skyproof.scenes.settings import SceneSettings
+from skyproof.scenes.settings import TRAINING_MARGIN_M, SceneSettings
 from skyproof.vehicles.fleet import Fleet
 
 _PAINTED, _CAMOUFLAGED = 400, 800
@@ -74,6 +74,7 @@ def render_images(
                 places=places,
                 conditions=WEATHER,
                 empty_share=empty,
+                margin_m=TRAINING_MARGIN_M,
             )
             worn = load_camouflage(layout.camouflages / name).to(device) if name in names else None
             with progress_bar(f"render {name}") as update:
