@@ -3,6 +3,7 @@
 import itertools
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -28,9 +29,9 @@ _RING_PX = 7
 _PIECE_PX = 72
 """Larger holes are filled piece by piece, each about this wide and copied from one place."""
 _POOR = 0.012
-"""Cost of a copy, as the square of a value, above which a piece is halved."""
+"""Cost of a copy (mean squared difference of values from 0 to 1) above which a piece is halved."""
 _LEAST_PX = 24
-"""Side of pieces that are not halved."""
+"""Pieces up to this wide and high are not halved."""
 _PLAINNESS = 0.15
 """Weight of the copied ground's contrast against the ring's mismatch: plain ground is preferred."""
 _HOLD = 0.02
@@ -57,7 +58,7 @@ class _Window:
     hole: Flags
     sound: Flags
 
-    @property
+    @cached_property
     def ring(self) -> Flags:
         """The known pixels around the hole."""
         near = ndimage.binary_dilation(self.hole, iterations=_RING_PX)
@@ -90,7 +91,7 @@ def fill_by_exemplar(image: Array, mask: Flags) -> Array:
         place = _around(piece, _SEARCH_PX + _RING_PX + 1)
         window = _Window(filled[place], ~unknown[place], piece[place], ~mask[place])
         cost, shift = _best_shift(window)
-        side_px = max(side.stop - side.start for side in _around(piece, 0))
+        side_px = max(side.stop - side.start for side in _around(window.hole, 0))
         if cost > _POOR and side_px > _LEAST_PX:
             left += _pieces(piece, math.ceil(side_px / 2))
             continue
@@ -137,7 +138,7 @@ def _around(flags: Flags, margin_px: int) -> tuple[slice, slice]:
 
 
 def _copy(window: _Window, shift: Shift) -> Array:
-    """Fills the hole from a shift away, levelled as the ring asks."""
+    """Fills the hole with the ground a shift away, levelled to fit the ring."""
     seen = window.ring & _shifted(window.sound, shift)
     copy = _shifted(window.values, shift)
     return _join(window, copy + np.median((window.values - copy)[seen], axis=0), _HOLD)
