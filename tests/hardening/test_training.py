@@ -94,6 +94,24 @@ def test_the_card_names_the_parent_and_statistics_stay(
     assert all(torch.equal(stored[name], before[name]) for name in statistics)
 
 
+def test_half_of_the_parents_weights_stay(
+    rendered: RenderedWorld, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings = dataclasses.replace(SETTINGS, steps=2)
+    mixed, _ = run(rendered, tmp_path / "mixed", settings=settings)
+    monkeypatch.setattr(hardening, "_PARENT_SHARE", 0.0)
+    trained, _ = run(rendered, tmp_path / "trained", settings=settings)
+    every = zip(
+        load_detector("retinanet").named_parameters(),
+        mixed.parameters(),
+        trained.parameters(),
+        strict=True,
+    )
+    for (name, parent), half, whole in every:
+        torch.testing.assert_close(half, (parent + whole) / 2, msg=name)
+    assert mixed.weights_sha256 != trained.weights_sha256
+
+
 def test_photographs_are_a_quarter_of_the_images(rendered: RenderedWorld) -> None:
     world, photographs = world_of(rendered), images(rendered, "train")
     for given, counts in ((photographs, [1, 1]), (None, [2])):

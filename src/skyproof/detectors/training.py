@@ -91,17 +91,21 @@ def fit(
     card: DetectorCard,
     on_step: Callable[[dict[str, Any]], None] | None = None,
     parts: Mapping[str, LoopPart] | None = None,
+    *,
+    start_share: float = 0.0,
 ) -> DetectorCard:
     """Takes the steps of a training, as `train` says; the detector stays in its mode.
 
     `lessons` gets the steps to take, counted from 0. At each it adds the gradients of the step's
     images, and gives their mean loss. `card` is completed by threshold and scores of the best
-    weights. `parts` are further objects that change from step to step.
+    weights. `parts` are further objects that change from step to step. At the last step the
+    averaged weights are mixed with a share of those at the start.
     """
     if (folder / "detector.json").exists():
         return _finished(detector, folder, identity)
 
     detector.to(memory_format=torch.channels_last)
+    start = [parameter.detach().clone() for parameter in detector.parameters() if start_share]
     averaged = _averaged(detector, settings)
     follower = cast(TrainableDetector, averaged.module)
     optimiser = _optimiser(detector, settings)
@@ -145,6 +149,9 @@ def fit(
             schedule.step()
             averaged.update_parameters(detector)
             loop.report({"kind": "step", "step": step, "loss": float(loss), "learning_rate": rate})
+            if step == settings.steps and start_share:
+                for kept, first in zip(follower.parameters(), start, strict=True):
+                    kept.lerp_(first, start_share)
             if step % settings.validate_every == 0 or step == settings.steps:
                 scores = validate(follower, validation)
                 best.keep(follower, scores, step)

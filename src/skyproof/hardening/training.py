@@ -38,8 +38,10 @@ _ALIVE, _LIFE_STEPS = 4, 80
 _KEPT, _KEPT_SHARE = 12, 0.3
 _CLIMB = AttackSettings(learning_rate=0.1)
 WEATHER = ("clear", "haze", "overcast", "exposure", "noise", "jpeg", "low_sun", "low_sun")
+# Half of the parent's weights keep its AP on photographs (docs/detectors.md).
+_PARENT_SHARE = 0.5
 # Of images without optimised camouflage; and vehicles on an image as small as those of attacks.
-EMPTY_SHARE, _MOST_VEHICLES = 0.2, 3
+EMPTY_SHARE, _MOST_VEHICLES = 0.5, 3
 
 
 def harden(
@@ -61,8 +63,10 @@ def harden(
     which go up ("free" adversarial training, Shafahi et al. 2019). A camouflage is optimised for 80
     steps of its own. Then a fresh one follows it, and the old one returns from time to time.
 
-    A stopped hardening continues, and fails, as `train` does. The averaged weights of the last step
-    are kept, because scores on images without camouflage say nothing about robustness.
+    The result is the mean of the parent's weights and the averaged ones of the last step (Wortsman
+    et al. 2022, "Robust fine-tuning of zero-shot models"). Scores on images without camouflage
+    choose no step, because they say nothing about robustness. A stopped hardening continues, and
+    fails, as `train` does.
 
     Args:
         detector: a detector with its card, on the device to work on.
@@ -83,6 +87,7 @@ def harden(
         "world_sha256": world.digest,
         "data_sha256": None if photographs is None else photographs.digest,
         "validation_sha256": validation.digest,
+        "parent_share": _PARENT_SHARE,
     }
     worn = _Worn(seed, ground_palette(world.backgrounds), device)
 
@@ -114,7 +119,16 @@ def harden(
     # without suppression passes no gradient to the backbone.
     detector.eval().requires_grad_(True)
     return fit(
-        detector, validation, settings, folder, identity, lessons, card, on_step, {"worn": worn}
+        detector,
+        validation,
+        settings,
+        folder,
+        identity,
+        lessons,
+        card,
+        on_step,
+        {"worn": worn},
+        start_share=_PARENT_SHARE,
     )
 
 
