@@ -23,8 +23,7 @@ _THIN_SPACE = "\u202f"
 
 def say(message: str) -> None:
     """Prints one line, or several."""
-    lines = (_shown(line, _LONGEST_LINE) for line in message.split("\n"))
-    _print("\n".join(lines), sys.stdout)
+    _print("\n".join(_shown(line, _LONGEST_LINE) for line in message.split("\n")), sys.stdout)
 
 
 def say_error(message: str) -> None:
@@ -55,8 +54,7 @@ def _print(line: str, stream: Any) -> None:
     except UnicodeEncodeError:
         # A terminal without these letters, or the name of a file that is no text.
         encoding = stream.encoding or "ascii"
-        shown = line.encode(encoding, "backslashreplace").decode(encoding)
-        print(shown, file=stream, flush=True)
+        print(line.encode(encoding, "backslashreplace").decode(encoding), file=stream, flush=True)
 
 
 def duration(seconds: float) -> str:

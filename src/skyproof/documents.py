@@ -29,17 +29,12 @@ _TYPES = {
     "int": "a whole number",
     "str": "text",
     "bool": "true or false",
-    "array": "a list",
-    "object": "an object",
-    "null": "null",
     "Path": "a path",
-    # msgspec uses Python's names for values that do not become a path, and for some given ones.
-    "list": "a list",
-    "tuple": "a list",
-    "set": "a list",
-    "dict": "an object",
     "bytes": "bytes",
-    "NoneType": "null",
+    # msgspec uses Python's names for values that do not become a path, and for some given ones.
+    **dict.fromkeys(("array", "list", "tuple", "set"), "a list"),
+    **dict.fromkeys(("object", "dict"), "an object"),
+    **dict.fromkeys(("null", "NoneType"), "null"),
 }
 
 

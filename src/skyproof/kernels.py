@@ -37,8 +37,7 @@ def launch(kernel: wp.Kernel, dim: Sequence[int], *arguments: Any) -> None:
         for each, dtype in zip(arguments, _types(kernel), strict=True)
     ]
     if device.type == "cuda":
-        stream = _stream(torch.cuda.current_stream(device))
-        wp.launch(kernel, dim=dim, inputs=given, stream=stream)
+        wp.launch(kernel, dim=dim, inputs=given, stream=_stream(torch.cuda.current_stream(device)))
     else:
         wp.launch(kernel, dim=dim, inputs=given, device="cpu")
 
@@ -143,7 +142,6 @@ def _start_once() -> None:
 
 
 def _folder() -> str:
-    """The folder of compiled kernels."""
     return str(wp.config.kernel_cache_dir)
 
 

@@ -6,6 +6,7 @@ import os
 import sys
 import warnings
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from importlib import import_module
 from typing import Any
 
@@ -27,9 +28,7 @@ COMMANDS: dict[str, dict[str, str]] = {
         "clear": "skyproof.cli.clear:Clear",
         "vehicles": "skyproof.cli.vehicles:Vehicles",
     },
-    "Images": {
-        "render": "skyproof.cli.render:Render",
-    },
+    "Images": {"render": "skyproof.cli.render:Render"},
     "Detectors": {
         "train": "skyproof.cli.train:Train",
         "import": "skyproof.cli.import_detector:Import",
@@ -41,7 +40,6 @@ COMMANDS: dict[str, dict[str, str]] = {
         "score": "skyproof.cli.score:Score",
     },
 }
-
 
 _READER_GONE = 141
 _FREE_SPACE = "free space, then give the same command again"
@@ -58,7 +56,6 @@ _REMEDIES = {
     errno.ELOOP: "check where its links lead",
 }
 """What the user can do, by what the system says."""
-
 
 Commands = Mapping[str, Mapping[str, str]]
 """By group and name, the module and class of a command."""
@@ -206,9 +203,7 @@ def _keep_freed_memory() -> None:
     """Tells glibc to keep large freed blocks, which cost a quarter of the rendering time anew."""
     trim_threshold = -1
     mmap_threshold = -3
-    try:
+    with suppress(OSError, AttributeError, TypeError):
         library = ctypes.CDLL(None)
         library.mallopt(trim_threshold, 2**31 - 1)
         library.mallopt(mmap_threshold, 2**30)
-    except (OSError, AttributeError, TypeError):
-        pass

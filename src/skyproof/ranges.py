@@ -143,20 +143,17 @@ def _expected(hint: Any) -> str:
         if meta.max_length is not None and kind is not str:
             least = "at most " if meta.min_length is None else f"{meta.min_length:,} to "
             length = f"{least}{meta.max_length:,} "
-            continue
-        if meta.max_length is not None:
+        elif meta.max_length is not None:
             words.append(f"text of at most {meta.max_length:,} characters")
-            continue
-        if meta.pattern is not None:
+        elif meta.pattern is not None:
             words.append(WORDS.get(meta.pattern, "text of another form"))
-            continue
-        if (meta.ge, meta.le) == _SIGNED_64_BITS:
+        elif (meta.ge, meta.le) == _SIGNED_64_BITS:
             words.append("a whole number of at most 64 bits")
-            continue
-        below = "below" if meta.ge is None and meta.gt is None else "to below"
-        bounds = [("from", meta.ge), ("above", meta.gt), ("up to", meta.le), (below, meta.lt)]
-        limits = [f"{word} {_number(bound)}" for word, bound in bounds if bound is not None]
-        words.append(" ".join([kinds.get(kind, "a value"), *limits]))
+        else:
+            below = "below" if meta.ge is None and meta.gt is None else "to below"
+            bounds = [("from", meta.ge), ("above", meta.gt), ("up to", meta.le), (below, meta.lt)]
+            limits = [f"{word} {_number(bound)}" for word, bound in bounds if bound is not None]
+            words.append(" ".join([kinds.get(kind, "a value"), *limits]))
     bare = hint.__origin__ if hasattr(hint, "__metadata__") else hint
     listed = f"{length}values, each " if get_origin(bare) in (tuple, list) else ""
     return f"{listed}{' or '.join(dict.fromkeys(words))}"

@@ -98,12 +98,8 @@ class _Evolution:
 
         self._change = CoarseChange(start)
         count = self._change.count
-        self._strategy = CMA(
-            mean=np.zeros(count),
-            sigma=_SPREAD,
-            bounds=np.tile([-1.0, 1.0], (count, 1)),
-            seed=seed % 2**32,
-        )
+        bounds = np.tile([-1.0, 1.0], (count, 1))
+        self._strategy = CMA(mean=np.zeros(count), sigma=_SPREAD, bounds=bounds, seed=seed % 2**32)
         self.candidates = self._strategy.population_size
         self._proposed: list[np.ndarray] = []
 
@@ -215,15 +211,8 @@ def query_attack(
             f"{settings.images}; allow more, or smaller batches."
         )
     total = generations * each + compared
-    loop = Loop(
-        folder,
-        identity,
-        generations,
-        1,
-        {"start": start},
-        other=_OTHER,
-        remedy=f"remove {folder} and search again",
-    )
+    remedy = f"remove {folder} and search again"
+    loop = Loop(folder, identity, generations, 1, {"start": start}, other=_OTHER, remedy=remedy)
     with alone(folder):
         if (folder / "camouflage.json").exists():
             return _finished(folder, identity)
@@ -231,7 +220,7 @@ def query_attack(
         for row in loop.rows:
             # Seed and scores decide a search, so it is repeated rather than stored.
             search.propose()
-            search.learn(_stored_scores(row, search.candidates, folder))
+            search.learn(_stored_scores(row, search.candidates, folder, remedy))
         for step in loop:
             scores = _try(search.propose(), detector, world, settings, step)
             search.learn(scores)
@@ -270,10 +259,9 @@ def _finished(folder: Path, identity: Mapping[str, Any]) -> Camouflage:
     return load_camouflage(folder)
 
 
-def _stored_scores(row: Mapping[str, Any], count: int, folder: Path) -> list[float]:
+def _stored_scores(row: Mapping[str, Any], count: int, folder: Path, remedy: str) -> list[float]:
     """The scores in a row of `steps.jsonl`, checked."""
     place = f"{folder / 'steps.jsonl'}, scores"
-    remedy = f"remove {folder} and search again"
     scores: list[float] = check_document(row.get("scores"), list[Fraction], place, remedy)
     if len(scores) != count:
         raise StoredFileError(f"{place} are {len(scores)} instead of {count}; {remedy}.")

@@ -131,8 +131,7 @@ def sample_map(values: Float[Tensor, "64 64"], uvs: Float[Tensor, "V 2"]) -> Flo
     down = row - top
     columns = torch.stack((left, left + 1), dim=-1).long() % DISPLACEMENT_SIZE
     rows = torch.stack((top, top + 1), dim=-1).long().clamp(max=DISPLACEMENT_SIZE - 1)
-    texels = values[rows[:, :, None], columns[:, None, :]]
-    upper, lower = texels.unbind(1)
+    upper, lower = values[rows[:, :, None], columns[:, None, :]].unbind(1)
     between = upper + down[:, None] * (lower - upper)
     return between[:, 0] + across * (between[:, 1] - between[:, 0])
 

@@ -179,10 +179,7 @@ def _texture(
     fixed = name.constraints is not None and name.constraints.colours == "fixed"
     if fixed and palette is None:
         raise ConfigurationError(f"{name} expects fixed colours; give them with --palette.")
+    given = palette if name.takes_palette else None
     return UniversalTexture(
-        name,
-        generator=generator,
-        palette=palette if name.takes_palette else None,
-        colours=settings.colours,
-        blocks=settings.blocks,
+        name, generator=generator, palette=given, colours=settings.colours, blocks=settings.blocks
     )

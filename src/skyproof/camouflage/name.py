@@ -286,8 +286,7 @@ class CamouflageName:
     @property
     def choice(self) -> Choice | None:
         """How a control is chosen: "R-Ma_plain", "R-PixFc_best", "R-S-O@0.4_search"; else None."""
-        chosen = self.random and self.variant in CHOICES
-        return cast(Choice, self.variant) if chosen else None
+        return cast(Choice, self.variant) if self.random and self.variant in CHOICES else None
 
     @property
     def has_candidates(self) -> bool:

@@ -41,11 +41,9 @@ def score_practicality(texture: TextureConstraints | None, shape_changed: bool) 
     signs = (0, 0, 0)
     if texture is not None:
         production = {"fixed": 1, "learnt": 0, "free": -1}[texture.colours]
-        signs = (
-            production if texture.pixelised else -1,
-            1 if texture.pixelised else -1,
-            1 if texture.masked else -1,
-        )
+        installation = 1 if texture.pixelised else -1
+        production = production if texture.pixelised else -1
+        signs = (production, installation, 1 if texture.masked else -1)
     shape = (-1, -1, -1) if shape_changed else (0, 0, 0)
     return {
         "texture": dict(zip(_CRITERIA, signs, strict=True)),

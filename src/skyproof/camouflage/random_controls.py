@@ -48,19 +48,14 @@ def _rows(fleet: Fleet, key: str, value: str) -> list[int]:
 def _paint(fleet: Fleet, rows: list[int], generator: torch.Generator) -> Fleet:
     textures = fleet.textures.clone()
     for turn, row in enumerate(rows):
-        constraints = _TEXTURES[turn % len(_TEXTURES)]
-        name = CamouflageName("texture", constraints, random=True)
+        name = CamouflageName("texture", _TEXTURES[turn % len(_TEXTURES)], random=True)
         blocks, colours = torch.rand(2, generator=generator).tolist()
         settings = CamouflageSettings(
             colours=2 + int(colours * (_MOST_COLOURS - 1)),
             blocks=_BLOCKS[int(blocks * len(_BLOCKS))],
         )
-        pattern = make_camouflage(
-            name,
-            generator=generator,
-            palette=_palette(settings.colours, generator),
-            settings=settings,
-        )
+        palette = _palette(settings.colours, generator)
+        pattern = make_camouflage(name, generator=generator, palette=palette, settings=settings)
         with torch.no_grad():
             (painted,) = pattern(fleet.batch([fleet.ids[row]])).worn_texture()
         textures[row] = (painted.clamp(0, 1) * 255).round().byte()

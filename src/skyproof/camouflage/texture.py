@@ -183,8 +183,7 @@ class UniversalTexture(Camouflage):
             self.cells[:, rows, columns] = -1.0
             self.cells[colour, rows, columns] = 0.0
         else:
-            colour_srgb = torch.rand(3, 1, 1, generator=generator)
-            self.cells[:, rows, columns] = colour_srgb.to(self.cells)
+            self.cells[:, rows, columns] = torch.rand(3, 1, 1, generator=generator).to(self.cells)
 
     @torch.no_grad()
     def finalise(self) -> None:
@@ -198,9 +197,4 @@ class UniversalTexture(Camouflage):
 
 def _spread(grid: Float[Tensor, "C g g"], side: int) -> Float[Tensor, "C H W"]:
     """Nearest neighbour: every cell becomes side x side texels."""
-    channels, height, width = grid.shape
-    return (
-        grid[:, :, None, :, None]
-        .expand(channels, height, side, width, side)
-        .reshape(channels, height * side, width * side)
-    )
+    return grid[:, :, None, :, None].expand(-1, -1, side, -1, side).flatten(3, 4).flatten(1, 2)

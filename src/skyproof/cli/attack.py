@@ -137,7 +137,6 @@ class Attack:
         return palette
 
     def _maker(self, palette: "torch.Tensor | None") -> "Maker":
-        """Opens the detectors and their world."""
         from skyproof.attacks.making import Maker
         from skyproof.attacks.world import World
         from skyproof.detectors.card import read_card

@@ -13,7 +13,6 @@ from skyproof.files import alone, finished_folder, refuse_existing
 if TYPE_CHECKING:
     from skyproof.imagery.clearing.vehicle_masks import VehicleFinder
 
-
 FAILED = "failed its precheck, so it does not check that no vehicle is left"
 
 

@@ -87,14 +87,11 @@ class Ground:
     def _draw(self, folder: Path) -> None:
         from skyproof.ground.procedural import write_procedural_backgrounds
 
+        size_px, gsd_m = self.tiling.size_px, self.tiling.gsd_m
+        counts: dict[str, int] = dict(zip(SPLITS, self.tiles, strict=True))
         with progress_bar("ground tiles") as update:
             write_procedural_backgrounds(
-                folder,
-                dict(zip(SPLITS, self.tiles, strict=True)),
-                self.tiling.size_px,
-                seed=self.seed,
-                gsd_m=self.tiling.gsd_m,
-                progress=update,
+                folder, counts, size_px, seed=self.seed, gsd_m=gsd_m, progress=update
             )
 
     def _cut(self, folder: Path, inspected: Sequence[Source] | None) -> TilingRecord:

@@ -1,5 +1,6 @@
 """Single pictures that are decoded on demand, and items made ahead in a thread."""
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
@@ -75,6 +76,18 @@ class PictureFile:
 
     def windows(self, windows: Sequence[Window]) -> Iterator[UInt8[Tensor, "3 _h _w"]]:
         return PictureInMemory(self.read()).windows(windows)
+
+
+def window_around(
+    box: Sequence[float], margin_px: float, size_px: tuple[int, ...]
+) -> tuple[slice, slice]:
+    """Returns the rows and columns around a box, xyxy, as far as a picture `[H, W]` has them."""
+    left, top, right, bottom = box
+    rows, columns = (
+        slice(max(0, math.floor(low - margin_px)), max(0, min(size, math.ceil(high + margin_px))))
+        for low, high, size in ((top, bottom, size_px[0]), (left, right, size_px[1]))
+    )
+    return rows, columns
 
 
 def tensor_of(image: Image.Image | UInt8[np.ndarray, "H W 3"]) -> Pixels:

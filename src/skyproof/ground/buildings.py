@@ -44,8 +44,7 @@ def _pitched_roof(
     eaves_m = {name: rng.uniform(*between) for name, between in _EAVES_M.items()}
     canvas.raise_to(patch, eaves_m[kind] + pitch * run)
     if kind == "tiled":
-        tone = canvas.pick(ROOF_COLOURS[kind])
-        colour = canvas.varied(patch, tone, grain=0.07, mottle=0.10)
+        colour = canvas.varied(patch, canvas.pick(ROOF_COLOURS[kind]), grain=0.07, mottle=0.10)
         courses = 1 + 0.09 * np.sign(np.sin(2 * math.pi * run / 0.36))
         courses = courses + 0.03 * np.sin(2 * math.pi * patch.u / 0.3)
     else:

@@ -1,7 +1,5 @@
 """Procedural aerial pictures of ground without vehicles, and background sets of them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -61,8 +59,7 @@ class GroundSensor:
     noise: float
 
     @classmethod
-    def draw(cls, rng: np.random.Generator) -> GroundSensor:
-        """Draws a sensor."""
+    def draw(cls, rng: np.random.Generator) -> "GroundSensor":
         # White balances differ mostly from yellow to blue.
         warmth = rng.normal(0.0, 0.05)
         red, green, blue = (rng.normal(1.0, 0.02, 3) * (1 + warmth, 1.0, 1 - warmth)).tolist()
@@ -186,15 +183,9 @@ def draw_ground(size_px: int, gsd_m: float, *, generator: torch.Generator) -> Dr
     canvas.mute(rng.uniform(0.35, 1.0))
     camera = GroundSensor.draw(rng)
     image, light, shade = photograph(canvas, camera)
-    return DrawnGround(
-        torch.from_numpy(image),
-        kind,
-        light,
-        Sensor(round(camera.blur_px, 3), round(camera.noise, 5)),
-        canvas.drivable(),
-        shade,
-        canvas.cover(camera.blur_px),
-    )
+    sensor = Sensor(round(camera.blur_px, 3), round(camera.noise, 5))
+    maps = (canvas.drivable(), shade, canvas.cover(camera.blur_px))
+    return DrawnGround(torch.from_numpy(image), kind, light, sensor, *maps)
 
 
 def write_procedural_backgrounds(

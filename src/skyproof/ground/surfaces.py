@@ -151,8 +151,7 @@ def lay_grass(canvas: Canvas, patch: Patch) -> None:
 
 def lay_soil(canvas: Canvas, patch: Patch) -> None:
     """Lays bare soil or gravel, weeds in places."""
-    soil = canvas.pick(SOIL)
-    colour = canvas.varied(patch, soil, 0.4, 2, grain=0.07, mottle=0.10, patch=0.1)
+    colour = canvas.varied(patch, canvas.pick(SOIL), 0.4, 2, grain=0.07, mottle=0.10, patch=0.1)
     grown = 0.6 * canvas.noise("mottle", patch) + 0.5 * canvas.noise("patch", patch) - 0.9
     weeds = np.clip(grown, 0, 1)[..., None]
     canvas.paint(patch, colour + weeds * (canvas.pick(GRASS) - colour))

@@ -10,7 +10,7 @@ from jaxtyping import UInt8
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from skyproof.datasets.pictures import Boxes, Pixels
+from skyproof.datasets.pictures import Boxes, Pixels, window_around
 from skyproof.scenes.directions import direction_values, with_room
 from skyproof.scenes.places import RemovedVehicle
 
@@ -112,7 +112,7 @@ def _like_beside(colour: _Grid, plain: _Mask, boxes: _Grid, cell_m: float) -> _M
     free = plain & ~_around(plain.shape, boxes, BESIDE_M[0] / cell_m)
     seen = []
     for box in boxes:
-        near = _grown(box, BESIDE_M[1] / cell_m)
+        near = window_around(box.tolist(), BESIDE_M[1] / cell_m, plain.shape)
         if free[near].any():
             shares = np.median(chroma[near][free[near]], 0)
             level = np.median(brightness[near][free[near]])
@@ -135,17 +135,9 @@ def _touching(free: _Mask, boxes: _Grid, cell_m: float) -> _Mask:
 def _around(size: tuple[int, ...], boxes: _Grid, margin: float) -> _Mask:
     """Masks boxes grown by a margin, all in cells."""
     mask = np.zeros(size, dtype=bool)
-    for box in boxes:
-        mask[_grown(box, margin)] = True
+    for box in boxes.tolist():
+        mask[window_around(box, margin, size)] = True
     return mask
-
-
-def _grown(box: _Grid, margin: float) -> tuple[slice, slice]:
-    """Returns the rows and columns of a box grown by a margin."""
-    left, top, right, bottom = box.tolist()
-    rows = slice(max(0, math.floor(top - margin)), max(0, math.ceil(bottom + margin)))
-    columns = slice(max(0, math.floor(left - margin)), max(0, math.ceil(right + margin)))
-    return rows, columns
 
 
 def _alongside(

@@ -120,12 +120,11 @@ def _edge_blurs(grey: Array) -> Array:
     for _ in range(4):
         # The window ends with the edge, because something else lies beyond.
         width = np.clip(np.round(3 * sigma / STEP_PX), 6, middle).astype(int)
-        step = np.array(
-            [
-                row[middle : middle + w + 1].max() - row[middle - w : middle + 1].min()
-                for row, w in zip(profile, width, strict=True)
-            ]
-        )
+        rises = [
+            row[middle : middle + w + 1].max() - row[middle - w : middle + 1].min()
+            for row, w in zip(profile, width, strict=True)
+        ]
+        step = np.array(rises)
         sigma = step / (np.maximum(steepest, 1e-9) * np.sqrt(2 * np.pi))
     return sigma[step > LEAST_STEP] if len(sigma) else sigma
 

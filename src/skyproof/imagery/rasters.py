@@ -200,7 +200,6 @@ def _check_vrt(path: Path, folder: Path, *, depth: int) -> None:
 
 
 def _elements(path: Path) -> list[ElementTree.Element]:
-    """Parses a VRT."""
     if path.stat().st_size > _LARGEST_VRT_BYTES:
         raise ImageryError(f"{path} is too long for a VRT; name its images directly.")
     try:

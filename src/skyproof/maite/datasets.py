@@ -234,8 +234,7 @@ class CamouflageAugmentation:
     ) -> tuple[np.ndarray, Target, dict[str, Any]]:
         vehicles = self._camouflage(placed_vehicles(self._fleet, [scene]))
         frames = self._renderer([scene], vehicles)
-        sizes = frames.boxes[:, 2:] - frames.boxes[:, :2]
-        in_sight = (sizes > 0).all(1)
+        in_sight = ((frames.boxes[:, 2:] - frames.boxes[:, :2]) > 0).all(1)
         told = {
             **known,
             **scene_metadata(scene, in_sight.nonzero().flatten().tolist()),

@@ -191,8 +191,7 @@ def found_vehicles(target: Any, labels: Sequence[int]) -> Detections:
     # MAITE allows sums to exceed 1 by rounding.
     certain = np.where(likely[kept] < 1 + _ROUNDING, np.minimum(likely[kept], 1), likely[kept])
     return Detections(
-        torch.from_numpy(boxes[kept][order]),
-        torch.from_numpy(certain[order].astype(np.float32)),
+        torch.from_numpy(boxes[kept][order]), torch.from_numpy(certain[order].astype(np.float32))
     )
 
 

@@ -118,11 +118,8 @@ def _threshold_intervals(
     """Precision and recall at a threshold with 95 % intervals, undefined as in `ap_interval`."""
     counting = matches.counting_at(threshold)
     count = int(cluster_of_image.max(initial=-1)) + 1
-    images = (
-        matches.image_of_detection[counting & matches.hits],
-        matches.image_of_detection[counting],
-        matches.image_of_vehicle,
-    )
+    detected = matches.image_of_detection
+    images = (detected[counting & matches.hits], detected[counting], matches.image_of_vehicle)
     per_cluster = [np.bincount(cluster_of_image[each], minlength=count) for each in images]
     counts = np.stack(per_cluster, axis=-1)[None]
     weights = resample(count, generator=generator)

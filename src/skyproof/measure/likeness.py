@@ -3,6 +3,7 @@
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -35,17 +36,15 @@ _BORDER_PX = 0.5
 
 @dataclass(frozen=True)
 class _Kind:
-    """Images of one kind of vehicles, which of these are whole, and the name of each one's tile."""
+    """Images of one kind of vehicles, and the name of each one's tile."""
 
     view: SceneView
-    whole: Sequence[Bool[Tensor, " _n"]]
     tiles: Sequence[str]
 
-    @classmethod
-    def of(cls, view: SceneView, tiles: Sequence[str]) -> "_Kind":
-        images = view.images
-        whole = map(_is_whole, images.boxes, images.sizes_px)
-        return cls(view, list(whole), tiles)
+    @cached_property
+    def whole(self) -> Sequence[Bool[Tensor, " _n"]]:
+        """Which vehicles of each image are whole."""
+        return [*map(_is_whole, self.view.images.boxes, self.view.images.sizes_px)]
 
     @property
     def shown(self) -> set[str]:
@@ -56,13 +55,11 @@ class _Kind:
         """The whole vehicles on numbered tiles."""
         matches = self.view.matched(detector.name, match)
         places = zip(matches.image_of_vehicle, matches.index_of_vehicle, strict=True)
-        tile = np.array(
-            [
-                numbers.get(self.tiles[image], -1) if self.whole[image][index] else -1
-                for image, index in places
-            ],
-            dtype=np.int64,
-        )
+        tiles = [
+            numbers.get(self.tiles[image], -1) if self.whole[image][index] else -1
+            for image, index in places
+        ]
+        tile = np.array(tiles, dtype=np.int64)
         kept = tile >= 0
         scores = matches.score_of_vehicle[kept].astype(np.float64)
         return _Seen(scores, matches.found_at(detector.threshold)[kept], tile[kept])
@@ -94,7 +91,7 @@ def compare_kinds(
     tiles = [scene.background.tile for scene in scenes]
     if not photographs.real or not set(tiles) & set(photographs.images.ids):
         return []
-    kinds = _Kind.of(photographed, photographs.images.ids), _Kind.of(rendered, tiles)
+    kinds = _Kind(photographed, photographs.images.ids), _Kind(rendered, tiles)
     shared = sorted(kinds[0].shown & kinds[1].shown)
     numbers = {tile: number for number, tile in enumerate(shared)}
     looks = [_look(kind, numbers) for kind in kinds]

@@ -122,13 +122,9 @@ def precheck(
     count = counter(progress, len(scenes) * (1 + len(changes)))
     seen = views(detectors, scenes, changes, stage, other_classes=True, progress=count)
     before = next(seen)
-    rendered = BaselineSet(
-        "rendered scenes",
-        before.images,
-        real=False,
-        note="drawn as they are, before any change",
-        places=[scene.background.tile for scene in scenes],
-    )
+    places = [scene.background.tile for scene in scenes]
+    note = "drawn as they are, before any change"
+    rendered = BaselineSet("rendered scenes", before.images, real=False, note=note, places=places)
     baselines = measure_baselines(detectors, rendered, before, seed=seed)
     likeness: list[Likeness] = []
     for each in data.frames:
@@ -238,15 +234,10 @@ def precheck_lines(record: PrecheckRecord, doubts: Sequence[str] = ()) -> list[s
     for finding in found[len(record.sets) :]:
         told += _told(finding.criterion, finding, _changes(finding))
     alike = record.likeness_by_main_rule
-    return told + [
-        line
-        for sentence in (
-            *([alike.sentence] if alike else []),
-            *doubts,
-            *misfit_thresholds(record.sets),
-        )
-        for line in wrap(f"  {sentence}", _WIDTH, subsequent_indent="  ")
-    ]
+    sentences = [*([alike.sentence] if alike else []), *doubts, *misfit_thresholds(record.sets)]
+    for sentence in sentences:
+        told += wrap(f"  {sentence}", _WIDTH, subsequent_indent="  ")
+    return told
 
 
 def _told(title: str, finding: Finding, words: str) -> list[str]:

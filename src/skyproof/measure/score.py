@@ -168,12 +168,9 @@ class _Writer:
     _sets: dict[str, list[SetScore]] = field(default_factory=lambda: defaultdict(list))
 
     def baselines(self, seed: int) -> list[Baseline]:
-        images = BaselineSet(
-            "Blender Cycles test" if self._renderer == "cycles" else "rendered test",
-            self._before.images,
-            real=False,
-            places=[scene.background.tile for scene in self._scenes],
-        )
+        name = "Blender Cycles test" if self._renderer == "cycles" else "rendered test"
+        places = [scene.background.tile for scene in self._scenes]
+        images = BaselineSet(name, self._before.images, real=False, places=places)
         return measure_baselines(self._detectors, images, self._before, seed=seed)
 
     def add(self, after: SceneView) -> None:

@@ -132,8 +132,7 @@ def views(
     """
     _check(detectors, scenes)
     if unchanged is None:
-        original = SceneChange(ORIGINAL, other_classes=other_classes)
-        changes = itertools.chain([original], changes)
+        changes = itertools.chain([SceneChange(ORIGINAL, other_classes=other_classes)], changes)
     rendered = _render_and_detect(detectors, scenes, changes, stage, progress)
     if unchanged is None:
         before = next(rendered)
@@ -154,13 +153,9 @@ def look(
     known = ((each.name, each.of_other_classes()) for each in detectors if other_classes)
     others = {name: each for name, each in known if each is not None}
     found = detect_by_each([*asked.values(), *others.values()], images)
-    of_vehicles, of_others = found[: len(asked)], found[len(asked) :]
-    return SceneView(
-        name,
-        images,
-        dict(zip(asked, of_vehicles, strict=True)),
-        dict(zip(others, of_others, strict=True)),
-    )
+    of_vehicles = dict(zip(asked, found[: len(asked)], strict=True))
+    of_others = dict(zip(others, found[len(asked) :], strict=True))
+    return SceneView(name, images, of_vehicles, of_others)
 
 
 def counter(progress: Callable[[int, int], None] | None, total: int) -> Callable[[int], None]:
@@ -249,14 +244,9 @@ def _render_and_detect(
                 progress(len(batch.scenes))
             if not pictures:
                 return
-            images = Dataset(
-                pictures=pictures,
-                boxes=boxes,
-                ignore=[torch.zeros(0, 4)] * len(scenes),
-                ids=[scene.id for scene in scenes],
-                gsd_m=gsd_m,
-                visible_fractions=visible,
-            )
+            ignore = [torch.zeros(0, 4)] * len(scenes)
+            ids = [scene.id for scene in scenes]
+            images = Dataset(pictures, boxes, ignore, ids, gsd_m, visible_fractions=visible)
             yield SceneView(change.name, images, found, others)
 
 

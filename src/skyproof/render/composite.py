@@ -71,8 +71,7 @@ def composite(
     # One window per image, around all that is drawn near it; another of it and its blur, of which
     # only what lies inside the photograph is worked out.
     margin_px = max(sensor.blur_radius_px for sensor in sensors)
-    windows = (bodies.window, shadows.window)
-    origin, size = _whole(windows, scene, count, size_px, margin_px + 1)
+    origin, size = _whole((bodies.window, shadows.window), scene, count, size_px, margin_px + 1)
     shown_px = min(size + 2 * margin_px, size_px)
     shown = (origin - margin_px).clamp(0, size_px - shown_px)
     before = torch.bincount(scene, minlength=count).cumsum(0)
@@ -169,11 +168,7 @@ class _Laid(torch.autograd.Function):
 
 @torch.no_grad()
 def _whole(
-    windows: Sequence[Windows],
-    scene: Int[Tensor, " N"],
-    count: int,
-    size_px: int,
-    margin_px: int,
+    windows: Sequence[Windows], scene: Int[Tensor, " N"], count: int, size_px: int, margin_px: int
 ) -> tuple[Int[Tensor, "B 2"], int]:
     """Per image the top-left pixel of one window around all small ones, and their one size.
 

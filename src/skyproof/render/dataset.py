@@ -147,12 +147,8 @@ def in_threads(
 
 @torch.no_grad()
 def _write(
-    writer: CocoWriter,
-    scenes: Sequence[Scene],
-    frames: Frames,
-    corners: Float[Tensor, "N 4 2"],
+    writer: CocoWriter, scenes: Sequence[Scene], frames: Frames, corners: Float[Tensor, "N 4 2"]
 ) -> None:
-    """Writes one batch of images with their labels."""
     images = (frames.image * 255).round().byte().cpu()
     masks = iter(() if frames.masks is None else frames.masks.cpu())
     numbers = (frames.boxes, frames.centres, frames.visible_fraction, corners)

@@ -117,10 +117,7 @@ def see_bodies(
 
 
 def draw_bodies(
-    seen: SeenBodies,
-    light: Float[Tensor, "N 20"],
-    vehicles: VehicleBatch,
-    settings: RenderSettings,
+    seen: SeenBodies, light: Float[Tensor, "N 20"], vehicles: VehicleBatch, settings: RenderSettings
 ) -> Float[Tensor, "N S S 4"]:
     """Draws the textures of seen vehicles, averaged from samples to pixels (section S2.2).
 

@@ -1,7 +1,5 @@
 """The light of scenes: sky (ISO 15469), photographs under weather (sections S2.2, S7), surfaces."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -79,7 +77,7 @@ class SceneLights:
     sky: Float[Tensor, "B 3"]
     overcast: Float[Tensor, "B 1"]
 
-    def of(self, index: int) -> SceneLights:
+    def of(self, index: int) -> "SceneLights":
         """Returns one picture's light, as a batch of its own."""
         single = slice(index, index + 1)
         return SceneLights(*(getattr(self, each.name)[single] for each in fields(self)))

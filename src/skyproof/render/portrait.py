@@ -64,8 +64,7 @@ def close_up(
     heading_rad: float = 0.0,
 ) -> UInt8[Tensor, "N 3 H W"]:
     """Every vehicle alone on grey ground, sharp, in the renderer's own light."""
-    size_px = round(side_m / gsd_m)
-    camera = Camera(tilt_rad, math.radians(-100), gsd_m, size_px)
+    camera = Camera(tilt_rad, math.radians(-100), gsd_m, round(side_m / gsd_m))
     window = BackgroundWindow("plain", 0.0, 0.0, 0.0)
     renderer = TorchRenderer(_Asphalt(), RenderSettings(supersampling=3, blur_sigma_px=0.0))
     pictures = []
@@ -86,21 +85,15 @@ def portrait(
     first: dict[str, str] = {}
     for name in fleet.ids:
         first.setdefault(name.rpartition("-")[0], name)
-    chosen = [first[body] for body in sorted(first)][:4]
-    vehicles = fleet.batch(chosen)
+    vehicles = fleet.batch([first[body] for body in sorted(first)][:4])
     camouflaged = camouflage(vehicles)
     reach_m = float(camouflaged.vertices[..., :2].norm(dim=-1).max())
     side_m = max(_PORTRAIT_SIDE_M, 2 * reach_m + _SHADOW_M)
+    how = {"heading_rad": math.radians(12), "gsd_m": _PORTRAIT_GSD_M, "side_m": side_m}
     rows = []
     for tilt_rad in (0.0, math.radians(40)):
         for worn in (vehicles, camouflaged):
-            pictures = close_up(
-                worn,
-                tilt_rad=tilt_rad,
-                heading_rad=math.radians(12),
-                gsd_m=_PORTRAIT_GSD_M,
-                side_m=side_m,
-            )
+            pictures = close_up(worn, tilt_rad=tilt_rad, **how)
             rows.append(torch.cat(list(pictures), dim=2))
     return torch.cat(rows, dim=1)
 
@@ -121,12 +114,9 @@ def turntable_row(
         return texture[row, column]
 
     length = float(np.ptp(wrapped[..., 0]))
+    side_m = length * 1.15
     rendered = close_up(
-        vehicles,
-        gsd_m=length * 1.15 / _WIDTH_PX,
-        side_m=length * 1.15,
-        tilt_rad=math.radians(20),
-        heading_rad=0.0,
+        vehicles, gsd_m=side_m / _WIDTH_PX, side_m=side_m, tilt_rad=math.radians(20)
     )[0]
     above = (_WIDTH_PX - _HEIGHT_PX) // 2
     cells = [

@@ -36,7 +36,6 @@ _BASELINE = (
     *("recall", "recall_centre_in_box", "called_another_class"),
 )
 
-
 Answer = Literal[
     "accepted", "rejected", "undecided", "not applicable", "not valid for this imagery"
 ]
@@ -104,8 +103,7 @@ def rule(results: Results, requirement: Requirement, alarms: Sequence[str]) -> A
     for name in results.detectors:
         ruling = _ruled(name, results, requirement)
         rulings.append(_doubted(ruling, requirement, doubts) if doubts else ruling)
-    decided = any(each.attacks for each in rulings)
-    figure = _figure(results, requirement) if decided else None
+    figure = _figure(results, requirement) if any(each.attacks for each in rulings) else None
     return Acceptance(requirement, rulings, figure, _validity(results), suite)
 
 
@@ -333,7 +331,6 @@ def _figure(results: Results, requirement: Requirement) -> Markup | None:
 
 
 def _validity(results: Results) -> str:
-    """States the scope of the verdict."""
     scenes = results.test_scenes
     if not scenes:
         return "The scope of the verdict is unknown: the file of the test scenes is missing."

@@ -30,7 +30,6 @@ from skyproof.words import detector_name, interval, listed, percent
 _FEW_FOUND = 0.8
 """Below this AP, rates say little about real imagery."""
 
-
 _STRIPS: dict[Kind, str] = {"paint_body": "body panels", "paint_whole": "whole vehicle"}
 
 

@@ -131,14 +131,8 @@ def loss_figure(title: str, curves: Mapping[str, Sequence[tuple[float, float]]])
             # At most 600 points: more cannot be seen, and would only make the page heavy.
             every = max(1, len(losses) // 600)
             axes.plot(steps[::every], losses[::every], color=colour, alpha=0.25, linewidth=0.8)
-            axes.plot(
-                steps[window - 1 :][::every],
-                smooth[::every],
-                line,
-                color=colour,
-                linewidth=1.8,
-                label=detector_name(name),
-            )
+            mean = (steps[window - 1 :][::every], smooth[::every], line)
+            axes.plot(*mean, color=colour, linewidth=1.8, label=detector_name(name))
         if positive:
             axes.set_yscale("log")
             # The default formatter writes formulas, which are not parsed.
@@ -257,8 +251,7 @@ def queries_figure(curves: Sequence[QueryCurve]) -> str:
 
 def embedded_jpeg(path: Path) -> str:
     """Gives a JPEG file as a data URI."""
-    picture = open_picture(path, REMEDY)
-    with picture:
+    with open_picture(path, REMEDY) as picture:
         if picture.format != "JPEG":
             raise StoredFileError(f"{path} is a {picture.format} file, not JPEG; {REMEDY}.")
     return f"data:image/jpeg;base64,{base64.b64encode(path.read_bytes()).decode()}"

@@ -59,14 +59,9 @@ def opening(
     )
     if row.easr.estimate < 0:
         sentence = f"No attack hides vehicles from {whose}: {attack} {hides(row.easr.estimate)}."
-    return Opening(
-        "neutral",
-        "Hidden by the strongest attack",
-        percent(max(row.easr.estimate, 0.0)),
-        _sure(row.easr),
-        sentence,
-        steps,
-    )
+    share = percent(max(row.easr.estimate, 0.0))
+    label = "Hidden by the strongest attack"
+    return Opening("neutral", label, share, _sure(row.easr), sentence, steps)
 
 
 def strongest_of(every: Sequence[Result]) -> Result | None:
@@ -77,30 +72,24 @@ def strongest_of(every: Sequence[Result]) -> Result | None:
 
 def _ruled(ruling: Ruling, steps: Sequence[str]) -> Opening:
     name = detector_name(ruling.detector)
+    label = f"{name}: {ruling.answer.upper()}"
     if ruling.paint is not None:
         paint, hidden = ruling.paint
-        return Opening(
-            ruling.answer,
-            f"{name}: REJECTED",
-            percent(hidden.share),
-            f"bounds {interval(hidden.at_least, hidden.at_most)} at the risks of the requirement",
-            f"of the vehicles found without camouflage are missed in the plain paint {paint}.",
-            steps,
-        )
-    if ruling.answer == "not valid for this imagery":
-        label = f"{name}: {ruling.answer.upper()}"
+        how = f"in the plain paint {paint}"
+    elif ruling.answer == "not valid for this imagery":
         return Opening(ruling.answer, label, "", "", ruling.sentences[0], steps)
-    if not ruling.attacks:
+    elif not ruling.attacks:
         return Opening(ruling.answer, f"No verdict on {name}", "", "", ruling.sentences[0], steps)
-    attack, worst = next(iter(ruling.attacks.items()))
-    words = CamouflageName.read(attack.partition(" on ")[0]).in_words
+    else:
+        attack, hidden = next(iter(ruling.attacks.items()))
+        words = CamouflageName.read(attack.partition(" on ")[0]).in_words
+        how = f"with the strongest attack: {words} ({attack})"
     return Opening(
         ruling.answer,
-        f"{name}: {ruling.answer.upper()}",
-        percent(worst.share),
-        f"bounds {interval(worst.at_least, worst.at_most)} at the risks of the requirement",
-        "of the vehicles found without camouflage are missed with the strongest attack: "
-        f"{words} ({attack}).",
+        label,
+        percent(hidden.share),
+        f"bounds {interval(hidden.at_least, hidden.at_most)} at the risks of the requirement",
+        f"of the vehicles found without camouflage are missed {how}.",
         steps,
     )
 
@@ -116,14 +105,9 @@ def _baseline(baselines: Sequence[BaselineRow], steps: Sequence[str]) -> Opening
     if not known:
         return Opening("neutral", "Nothing was scored", "", "", "", steps)
     lowest, detector, images = min(known, key=lambda one: one[0].estimate)
-    return Opening(
-        "neutral",
-        "Lowest baseline",
-        percent(lowest.estimate),
-        _sure(lowest),
-        f"average precision of {detector_name(detector)} on {images}, without camouflage.",
-        steps,
-    )
+    share = percent(lowest.estimate)
+    words = f"average precision of {detector_name(detector)} on {images}, without camouflage."
+    return Opening("neutral", "Lowest baseline", share, _sure(lowest), words, steps)
 
 
 def _next_steps(

@@ -96,8 +96,7 @@ def _curves(
     own = [(0, row.transfer), *_kept(results, row.name, scored, ""), (row.images, row.queried)]
     curves = [QueryCurve(str(row.name), _known(own), random=False)]
     if row.searched is not None:
-        control = row.name.control
-        search = [*_kept(results, control, scored, "search_"), (row.images, row.searched)]
+        search = [*_kept(results, row.name.control, scored, "search_"), (row.images, row.searched)]
         curves.append(QueryCurve(str(row.name), _known(search), random=True))
     return curves
 

@@ -95,8 +95,7 @@ def write_report(
     with alone(layout.report):
         refuse_links(layout.folder)
         _refuse_other_files(layout)
-        asked = requirement or read_requirement(layout.verdict)
-        return _write(results, layout, asked, sections)
+        return _write(results, layout, requirement or read_requirement(layout.verdict), sections)
 
 
 def _refuse_other_files(layout: Layout) -> None:
@@ -138,41 +137,38 @@ def _write(
     precheck = precheck_part(results)
     baselines = baseline_sets(results)
     hardened = hardening(results, every)
-    page = (
-        templates("skyproof.report")
-        .get_template("report.html.j2")
-        .render(
-            results=results,
-            contents=contents,
-            title=results.config.title or "Camouflage robustness of overhead vehicle detectors",
-            every=every,
-            in_full=in_full,
-            exhibits=exhibits,
-            # One camouflage alone needs no name in every heading.
-            named=len(in_full) > 1 or bool(exhibits),
-            overviews=[] if few else contents.overviews(),
-            worst=[worst_case(case) for case in worst],
-            tested=_tested(results, every),
-            acceptance=acceptance,
-            query=query,
-            precheck=precheck,
-            real=real_data(results),
-            baselines=baselines,
-            bounds=(LARGEST_DIFFERENCE, LEAST_OVERLAP),
-            points=_points(results),
-            alarms=alarms_in_words(results.points),
-            beside=beside_parent(results),
-            opening=opening(every, acceptance, precheck, baselines, hardened=hardened is not None),
-            example=next(iter(contents.pairs(strongest, 1)), None) if strongest else None,
-            more=more,
-            training=contents.training(),
-            advice=advice(results.by_detector(every[0])) if every else [],
-            hardening=hardened,
-            limits=limits(results, every),
-            settings=_flat_settings(_settings(results)),
-        )
+    page = templates("skyproof.report").get_template("report.html.j2")
+    html = page.render(
+        results=results,
+        contents=contents,
+        title=results.config.title or "Camouflage robustness of overhead vehicle detectors",
+        every=every,
+        in_full=in_full,
+        exhibits=exhibits,
+        # One camouflage alone needs no name in every heading.
+        named=len(in_full) > 1 or bool(exhibits),
+        overviews=[] if few else contents.overviews(),
+        worst=[worst_case(case) for case in worst],
+        tested=_tested(results, every),
+        acceptance=acceptance,
+        query=query,
+        precheck=precheck,
+        real=real_data(results),
+        baselines=baselines,
+        bounds=(LARGEST_DIFFERENCE, LEAST_OVERLAP),
+        points=_points(results),
+        alarms=alarms_in_words(results.points),
+        beside=beside_parent(results),
+        opening=opening(every, acceptance, precheck, baselines, hardened=hardened is not None),
+        example=next(iter(contents.pairs(strongest, 1)), None) if strongest else None,
+        more=more,
+        training=contents.training(),
+        advice=advice(results.by_detector(every[0])) if every else [],
+        hardening=hardened,
+        limits=limits(results, every),
+        settings=_flat_settings(_settings(results)),
     )
-    write_bytes(layout.report, page.encode())
+    write_bytes(layout.report, html.encode())
     return layout.report
 
 
@@ -263,8 +259,7 @@ class _Contents:
         key = (str(row.camouflage), row.renderer)
         if key not in self._panels:
             outcomes = self._results.outcomes(row.camouflage, row.renderer)
-            generator = np.random.default_rng(_SEED)
-            self._panels[key] = condition_panels(outcomes, generator=generator)
+            self._panels[key] = condition_panels(outcomes, generator=np.random.default_rng(_SEED))
         return self._panels[key]
 
     def conditions(self, row: Result) -> Markup | None:
@@ -332,18 +327,15 @@ def _exhibits(every: Sequence[Result]) -> list[Result]:
 
 
 def _tested(results: Results, every: Sequence[Result]) -> str:
-    """Says in two sentences what was tested."""
     if not every:
         return ""
     rows = results.by_detector(every[0])
     names = [words.detector_name(row.detector) for row in rows[: max(len(rows) - 1, 1)]]
     many = "1 overhead vehicle detector" if len(names) == 1 else f"{len(names)} overhead vehicle"
     many += " was" if len(names) == 1 else " detectors were"
-    second = (
-        " A second, physics-based renderer, Blender Cycles, drew the same scenes."
-        if len(results.renderers) > 1
-        else ""
-    )
+    second = ""
+    if len(results.renderers) > 1:
+        second = " A second, physics-based renderer, Blender Cycles, drew the same scenes."
     return (
         f"{many} tested ({', '.join(names)}) on {words.number(every[0].vehicles)} rendered "
         f"vehicles over {_imagery(results)}. Each vehicle was shown once without and once with "

@@ -231,11 +231,8 @@ class OutcomeCounts:
             if (key.renderer, key.match) == (renderer, match)
         }
         shown = np.any([counts[:, 0] > 0 for counts in series.values()], axis=0)
-        return replace(
-            self,
-            cells=tuple(itertools.compress(self.cells, shown)),
-            series={key: counts[shown] for key, counts in series.items()},
-        )
+        cells = tuple(itertools.compress(self.cells, shown))
+        return replace(self, cells=cells, series={key: own[shown] for key, own in series.items()})
 
 
 def repeat_of(camouflage: str) -> Repeat:
@@ -302,13 +299,11 @@ def _numbered(
 
 def count_cells(outcomes: Sequence[Outcome], cells: Mapping[Cell, int]) -> Int[np.ndarray, "N 3"]:
     """Counts the pairs (both, lost, gained) per tile and vehicle, by the rows in `cells`."""
-    return count_pairs(
-        (
-            ((each.background, each.vehicle), each.detected_original, each.detected_adversarial)
-            for each in outcomes
-        ),
-        cells,
+    pairs = (
+        ((each.background, each.vehicle), each.detected_original, each.detected_adversarial)
+        for each in outcomes
     )
+    return count_pairs(pairs, cells)
 
 
 def count_pairs(

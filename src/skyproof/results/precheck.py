@@ -175,13 +175,9 @@ class PrecheckRecord:
 def write_precheck(folder: Path, record: PrecheckRecord) -> None:
     """Writes `precheck.json`, whole or not at all, into a detector folder that has none."""
     path = folder / PRECHECK_FILE
-    rows = {
-        "measured_on": asdict(record.measured_on),
-        "sets": [flat_row(baseline) for baseline in record.sets],
-        "rates": [flat_row(rate) for rate in record.rates],
-        "likeness": [flat_row(row) for row in record.likeness],
-    }
+    rows = {name: [flat_row(row) for row in getattr(record, name)] for name in _ROWS}
     document = {"format": _FORMAT, **vars(record), **rows}
+    document["measured_on"] = asdict(record.measured_on)
     if not record.likeness:
         # Records of drawn ground stay as they were.
         del document["likeness"]
@@ -207,9 +203,7 @@ def read_precheck(folder: Path) -> PrecheckRecord:
                 f"{_REMEDY}."
             )
     rows = {
-        "sets": [row_of(Baseline, row) for row in stored.sets],
-        "rates": [row_of(Rate, row) for row in stored.rates],
-        "likeness": [row_of(Likeness, row) for row in stored.likeness],
+        name: [row_of(kind, row) for row in getattr(stored, name)] for name, kind in _ROWS.items()
     }
     return PrecheckRecord(**structs.asdict(stored) | rows)
 
@@ -225,6 +219,7 @@ def read_prechecks(detectors: Path) -> dict[str, PrecheckRecord]:
     return records
 
 
+_ROWS = {"sets": Baseline, "rates": Rate, "likeness": Likeness}
 _BaselineRow: Any = row_form(Baseline)
 _RateRow: Any = row_form(Rate)
 _LikenessRow: Any = row_form(Likeness)

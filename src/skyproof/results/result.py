@@ -190,8 +190,7 @@ def summarise(
     for match in MATCHES:
         for renderer in dict.fromkeys(key.renderer for key in counts.series if key.match == match):
             here = counts.of(renderer, match)
-            sample = Sample.draw(here.cells, generator=generator)
-            rows.extend(_Table(here, scores, sample).rows())
+            rows += _Table(here, scores, Sample.draw(here.cells, generator=generator)).rows()
     return _corrected(rows)
 
 

@@ -307,9 +307,7 @@ class Results:
         """Gives EASR of one single repeat minus another's, on the same tiles; None if unknown."""
         after = self._group(later)
         before = self._group(earlier)
-        if after is None or before is None:
-            return None
-        return difference_interval([after], [before])
+        return None if after is None or before is None else difference_interval([after], [before])
 
     @cached_property
     def _single_rows(self) -> list[Result]:

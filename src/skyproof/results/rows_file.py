@@ -39,8 +39,7 @@ def write_rows(path: Path, rows: Iterable[object]) -> None:
 def read_rows(path: Path, kind: type[T], remedy: str) -> list[T]:
     """Reads rows of a dataclass with limits on its fields; numbers may be undefined."""
     form: Any = kind
-    document = read_document(path, _document(form), remedy)
-    return [row_of(form, row) for row in document.rows]
+    return [row_of(form, row) for row in read_document(path, _document(form), remedy).rows]
 
 
 def flat_row(row: object) -> dict[str, Any]:

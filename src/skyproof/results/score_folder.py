@@ -183,8 +183,7 @@ class ScoreFolder:
         if (run_folder / "score.json").exists():
             return [cls.open(run_folder)]
         # A hidden folder is being made, or a kill left it.
-        found = Layout(run_folder).scores.glob("[!.]*")
-        places = sorted(path for path in found if path.is_dir())
+        places = sorted(path for path in Layout(run_folder).scores.glob("[!.]*") if path.is_dir())
         if needed and not places:
             raise StoredFileError(
                 f"{run_folder} holds no scores; run skyproof score --out "
@@ -291,8 +290,7 @@ def _merge_sets(folders: Sequence[ScoreFolder]) -> list[SetScore]:
 
 
 def _contradiction(first: ScoreFolder, second: ScoreFolder, key: Series) -> ConfigurationError:
-    unchanged = key.camouflage == ORIGINAL
-    what = "the images without camouflage" if unchanged else key.camouflage
+    what = "the images without camouflage" if key.camouflage == ORIGINAL else key.camouflage
     return ConfigurationError(
         f"{first.path} and {second.path} hold different results for {what} and {key.detector}; "
         "leave one of the folders out, or score both again with the same scenes and detectors."

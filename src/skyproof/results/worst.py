@@ -93,7 +93,6 @@ def _worst_case(
     attacks: dict[CamouflageName, str],
     sets: Sequence[Sequence[str]],
 ) -> WorstCase:
-    """Gives the worst case of the detector that found these vehicles."""
     row_of = {cell: row for row, cell in enumerate(results.counts.cells)}
     cells = {(one.scene, one.placement): row_of[one.background, one.vehicle] for one in found}
     lost: dict[str, set[tuple[str, int]]] = {}

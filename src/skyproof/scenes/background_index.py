@@ -108,9 +108,8 @@ def read_index(folder: Path) -> BackgroundIndex:
 def save_tile(folder: Path, tile: BackgroundTile, image: UInt8[Tensor, "3 H W"]) -> None:
     """Writes a tile's picture whole or not at all."""
     with write_beside(Path(folder) / tile.file) as temporary:
-        Image.fromarray(image.permute(1, 2, 0).contiguous().numpy()).save(
-            temporary, compress_level=3
-        )
+        picture = Image.fromarray(image.permute(1, 2, 0).contiguous().numpy())
+        picture.save(temporary, compress_level=3)
 
 
 def save_map(

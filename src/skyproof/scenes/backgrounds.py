@@ -222,12 +222,9 @@ class BackgroundSet:
             quarters, within = divmod(4 * turn, 1)
             rotation_rad = (quarters * math.pi / 2 + (2 * within - 1) * room_rad) % (2 * math.pi)
         reach = size_px / 2 * (abs(math.cos(rotation_rad)) + abs(math.sin(rotation_rad)))
-        return BackgroundWindow(
-            tile=tile.id,
-            centre_x_px=reach + x * (tile.width_px - 2 * reach),
-            centre_y_px=reach + y * (tile.height_px - 2 * reach),
-            rotation_rad=rotation_rad,
-        )
+        x_px = reach + x * (tile.width_px - 2 * reach)
+        y_px = reach + y * (tile.height_px - 2 * reach)
+        return BackgroundWindow(tile.id, x_px, y_px, rotation_rad)
 
 
 def on_tile(

@@ -57,7 +57,6 @@ def sample_scenes(
 
 
 def _sample_scene(name: str, seed: int, draw: SceneDraw) -> Scene:
-    """Draws all of one scene."""
     settings, backgrounds, generator = draw.settings, draw.backgrounds, draw.generator
     # Without such shares nothing is drawn, so that scenes without them never change.
     if settings.empty_share and draw.uniforms(1)[0] < settings.empty_share:

@@ -77,13 +77,8 @@ def standing(
         north_m = y_m + sine * length_m * along + cosine * width_m * across
         column, row = on_tile(window, east_m / backgrounds.gsd_m, north_m / backgrounds.gsd_m)
         covered = _mean(cover, row, column)
-        found.append(
-            replace(
-                placement,
-                shade=_mean(shade, row, column),
-                covered=covered if covered < on_top_from else 0.0,
-            )
-        )
+        beneath = covered if covered < on_top_from else 0.0
+        found.append(replace(placement, shade=_mean(shade, row, column), covered=beneath))
     return tuple(found)
 
 

@@ -1,7 +1,5 @@
 """Keeps many vehicles on one template, drawn or wrapped, and hands them out in batches."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
@@ -148,7 +146,7 @@ class Fleet:
         write_json(folder / "fleet.json", description)
 
     @staticmethod
-    def load(folder: str | Path) -> Fleet:
+    def load(folder: str | Path) -> "Fleet":
         """Reads what `save` wrote.
 
         Raises:
@@ -162,10 +160,8 @@ class Fleet:
         tensors, _ = read_tensors(path, _REMEDY)
         template = make_template()
         _check_tensors(path, tensors, len(stored.ids), len(template.mirror))
-        vertices, textures, parts = (tensors[name] for name in ("vertices", "textures", "parts"))
-        return Fleet(
-            stored.settings, template, stored.ids, vertices, textures, parts, stored.sources
-        )
+        maps = {name: tensors[name] for name in ("vertices", "textures", "parts")}
+        return Fleet(stored.settings, template, stored.ids, sources=stored.sources, **maps)
 
     def _row(self, vehicle_id: str) -> int:
         try:
@@ -217,8 +213,7 @@ def sample_fleet(
     coats = _coats(settings, generator)
     types = list(settings.weights)
     weights = torch.tensor([settings.weights[name] for name in types], dtype=torch.float64)
-    drawn_types = torch.multinomial(weights, settings.count, True, generator=generator)
-    chosen = drawn_types.tolist()
+    chosen = torch.multinomial(weights, settings.count, True, generator=generator).tolist()
     ids = [f"{types[choice]}-{n:04d}" for n, choice in enumerate(chosen, settings.first_number)]
     drawn = []
     paints = [None] * settings.count if worn is None else _paints_of(worn, settings, generator)
@@ -247,8 +242,7 @@ def _paints_of(
     ranked = worn[worn.sum(1).argsort(stable=True)]
     at = torch.arange(settings.count) + torch.rand(settings.count, generator=generator)
     drawn = ranked[(at / settings.count * len(ranked)).long().clamp(max=len(ranked) - 1)]
-    order = torch.randperm(settings.count, generator=generator)
-    return [*drawn[order]]
+    return [*drawn[torch.randperm(settings.count, generator=generator)]]
 
 
 def _coats(settings: FleetSettings, generator: torch.Generator) -> list[Coat]:

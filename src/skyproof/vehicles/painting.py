@@ -257,8 +257,7 @@ def _paint_large(c: TextureCanvas, name: str, paint: Colour, *, generator: torch
         middle, half = d.length * (0.12 + 0.76 * along), 0.4 + 1.1 * length
         thing = above & (c.y < 0.25 + 0.5 * width) & between(c.station - middle, -half, half)
         c.fill(thing, (0.12 + 0.7 * tone,) * 3, Part.TRIM)
-        edge = thing & ~between(c.station - middle, 0.07 - half, half - 0.07)
-        c.shade(edge, _SEAM)
+        c.shade(thing & ~between(c.station - middle, 0.07 - half, half - 0.07), _SEAM)
     if d.length > 13:
         bellows = 0.5 * d.length + draws[5][1]
         c.fill(c.upper & between(c.station - bellows, -0.6, 0.6), (0.2, 0.19, 0.18), Part.TRIM)

@@ -1,7 +1,5 @@
 """Says what a vehicle is: vertices on the shared template, a texture and part labels."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import lru_cache
@@ -45,7 +43,7 @@ class Template:
     mirror: Int[Tensor, " V"]
     vertex_uvs: Float[Tensor, "V 2"]
 
-    def to(self, device: torch.device | str) -> Template:
+    def to(self, device: torch.device | str) -> "Template":
         """Returns one and the same copy on a device: buffers know it by its faces."""
         return _template_on(self, torch.device(device))
 
@@ -90,7 +88,7 @@ class VehicleBatch:
     def __len__(self) -> int:
         return len(self.ids)
 
-    def to(self, device: torch.device | str) -> VehicleBatch:
+    def to(self, device: torch.device | str) -> "VehicleBatch":
         """Returns the same vehicles on another device."""
         over = self.overlay
         return replace(
@@ -102,7 +100,7 @@ class VehicleBatch:
             overlay=over and Overlay(over.texture.to(device), over.mask.to(device)),
         )
 
-    def row(self, index: int) -> VehicleBatch:
+    def row(self, index: int) -> "VehicleBatch":
         """Returns one vehicle as a batch of its own."""
         single = slice(index, index + 1)
         over = self.overlay

@@ -61,8 +61,7 @@ class _Window:
     @cached_property
     def ring(self) -> Flags:
         """The known pixels around the hole."""
-        near = ndimage.binary_dilation(self.hole, iterations=_RING_PX)
-        return near & ~self.hole & self.known
+        return ndimage.binary_dilation(self.hole, iterations=_RING_PX) & ~self.hole & self.known
 
 
 def fill_ground(image: Pixels, mask: Bool[Tensor, "H W"]) -> Pixels:

@@ -46,9 +46,8 @@ class ContactSheet:
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is None:
-            page = _PAGE.read_text(encoding="utf-8")
-            text = page.replace("{figures}", "\n".join(self._figures))
-            write_bytes(self.folder / "index.html", text.encode())
+            page = _PAGE.read_text(encoding="utf-8").replace("{figures}", "\n".join(self._figures))
+            write_bytes(self.folder / "index.html", page.encode())
 
     def add(self, row: SheetRow) -> None:
         """Adds a tile, and writes its picture at once."""

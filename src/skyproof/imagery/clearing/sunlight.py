@@ -88,8 +88,7 @@ def measured_lights(
             change["sky"] = OVERCAST_SKY
         for tile in of_flight:
             known = tile.light or backgrounds.light
-            lit = replace(known, sun=known.sun or sun, **change)
-            lights.setdefault(picture_of(tile), lit)
+            lights.setdefault(picture_of(tile), replace(known, sun=known.sun or sun, **change))
     return lights
 
 
@@ -210,8 +209,7 @@ def estimate_sun(edges: Array) -> SunEstimate | None:
 
     total = misses.sum(0)
     turn, length = best(total)
-    rng = np.random.default_rng(0)
-    draws = rng.integers(len(vehicles), size=(_RESAMPLES, len(vehicles)))
+    draws = np.random.default_rng(0).integers(len(vehicles), size=(_RESAMPLES, len(vehicles)))
     errors_rad = np.array([_TURNS_RAD[best(misses[draw].sum(0))[0]] for draw in draws])
     errors_rad = (errors_rad - _TURNS_RAD[turn] + math.pi) % (2 * math.pi) - math.pi
     azimuth_sd_rad = float(np.sqrt(np.mean(np.square(errors_rad))))

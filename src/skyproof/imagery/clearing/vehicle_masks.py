@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torchvision import ops
 
-from skyproof.datasets.pictures import Boxes, PictureInMemory, Pixels
+from skyproof.datasets.pictures import Boxes, PictureInMemory, Pixels, window_around
 from skyproof.detectors.detector import Detector, TrainableDetector
 from skyproof.detectors.inference import detect_in_windows
 from skyproof.errors import ConfigurationError
@@ -130,11 +130,9 @@ def _shadow_side(stacked: Array) -> tuple[tuple[float, float], Array, float]:
     It returns the sum of all directions, weighted by darkness, then the darkness by layer on that
     side, and near the boxes, both less those of the side across.
     """
-    near_layers = round(NEAR_M / LAYER_M)
-    near = _median_of(stacked[:, :, :near_layers].reshape(len(stacked), -1))
+    near = _median_of(stacked[:, :, : round(NEAR_M / LAYER_M)].reshape(len(stacked), -1))
     near = near.reshape(DIRECTIONS, -1).mean(1)
-    units = np.array([_unit(number) for number in range(DIRECTIONS)])
-    x, y = (near[:, None] * units).sum(0)
+    x, y = (near[:, None] * np.array([*map(_unit, range(DIRECTIONS))])).sum(0)
     best = round(math.atan2(y, x) / (2 * math.pi) * DIRECTIONS) % DIRECTIONS
     across = (best + DIRECTIONS // 2) % DIRECTIONS
     profile = _median_of(stacked[:, best]) - _median_of(stacked[:, across])
@@ -149,18 +147,6 @@ def _median_of(values: Array) -> Array:
 def _unit(number: int) -> tuple[float, float]:
     angle = 2 * math.pi * number / DIRECTIONS
     return math.cos(angle), math.sin(angle)
-
-
-def window_around(
-    box: Sequence[float], margin_px: float, size_px: tuple[int, ...]
-) -> tuple[slice, slice]:
-    """Returns the rows and columns around a box."""
-    left, top, right, bottom = box
-    rows, columns = (
-        slice(max(0, math.floor(low - margin_px)), max(0, min(size, math.ceil(high + margin_px))))
-        for low, high, size in ((top, bottom, size_px[0]), (left, right, size_px[1]))
-    )
-    return rows, columns
 
 
 def arrival(

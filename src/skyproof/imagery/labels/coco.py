@@ -89,8 +89,7 @@ def read_coco_labels(path: Path) -> ImageLabels:
             raise damaged(where, f"belongs to image {row.image_id}, which is not listed")
         if row.category_id not in categories:
             known = ", ".join(f"{key} ({name})" for key, name in categories.items()) or "none"
-            what = f"has category {row.category_id} but the file lists {known[:500]}"
-            raise damaged(where, what)
+            raise damaged(where, f"has category {row.category_id} but the file lists {known[:500]}")
         name, class_name, ignore = names[row.image_id], categories[row.category_id], row.iscrowd
         if row.bbox:
             if len(row.bbox) != 4:

@@ -108,5 +108,4 @@ def _visdrone_label(where: str, words: list[str]) -> Label:
         what = f"has category {category:g} but VisDrone's are 0 to {len(_VISDRONE_CLASSES) - 1}"
         raise damaged(where, what)
     box = (left, top, left + width, top + height)
-    name = _VISDRONE_CLASSES[int(category)]
-    return upright_label(name, box, ignore=score == 0 or category == 0)
+    return upright_label(_VISDRONE_CLASSES[int(category)], box, ignore=score == 0 or category == 0)

@@ -72,8 +72,7 @@ def _label(row: Element, where: str) -> Label:
         sides = [row.findtext(f"bndbox/{side}") or "" for side in _SIDES]
         left, top, right, bottom = finite_numbers(sides)
     except ValueError as error:
-        what = f"has no bndbox of numbers ({', '.join(_SIDES)})"
-        raise damaged(where, what) from error
+        raise damaged(where, f"has no bndbox of numbers ({', '.join(_SIDES)})") from error
     difficult = (row.findtext("difficult") or "0").strip().lower()
     if difficult not in ("0", "1", "false", "true"):
         raise damaged(where, f"is difficult as {difficult[:40]!r}, not 0 or 1")

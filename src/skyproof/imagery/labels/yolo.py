@@ -138,7 +138,6 @@ class _PlainLoader(yaml.BaseLoader):
     """
 
     def compose_node(self, parent: Any, index: Any) -> Any:
-        """Refuses aliases."""
         if self.check_event(yaml.AliasEvent):
             raise yaml.YAMLError("it has aliases, *name, which are not read")
         return super().compose_node(parent, index)

@@ -104,8 +104,7 @@ def find_collars(
 def _share_at_corners(collar: Collar, dataset: DatasetReader) -> float:
     """Returns which share of an image the parts of a collar have that reach into its corners."""
     shape = min(dataset.height, _VIEW_PX), min(dataset.width, _VIEW_PX)
-    covered = collar.covers(Window(0, 0, dataset.width, dataset.height), shape)
-    parts, _ = label(covered)
+    parts, _ = label(collar.covers(Window(0, 0, dataset.width, dataset.height), shape))
     corners = parts[np.ix_((0, -1), (0, -1))]
     return float(np.isin(parts, corners[corners > 0]).mean())
 

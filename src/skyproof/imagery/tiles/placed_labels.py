@@ -217,11 +217,9 @@ class PlacedLabels:
                 return None
             ignore |= not (0 <= x < size and 0 <= y < size) or shown < 0
         point_box_px = POINT_BOX_M / cell.gsd_m
+        shown_as = Label(label.class_name, label.corners, ignore)
         truths, ignored = sort_labels(
-            [Label(label.class_name, label.corners, ignore)],
-            classes=self._classes,
-            size_px=(size, size),
-            point_box_px=point_box_px,
+            [shown_as], classes=self._classes, size_px=(size, size), point_box_px=point_box_px
         )
         if not len(truths) + len(ignored):
             return None
@@ -235,12 +233,9 @@ class PlacedLabels:
             area_px = point_box_px**2
         # Corners farther away are those of no vehicle, and nothing could be drawn with them.
         near = all(abs(value) <= FARTHEST_PX for corner in label.corners for value in corner)
-        return Annotation(
-            box,
-            (x, y),
-            min((right - left) * (bottom - top) / max(area_px, 1e-9), 1.0),
-            corners_px=label.corners_lengthwise() if item.oriented and near else None,
-        )
+        visible = min((right - left) * (bottom - top) / max(area_px, 1e-9), 1.0)
+        corners_px = label.corners_lengthwise() if item.oriented and near else None
+        return Annotation(box, (x, y), visible, corners_px=corners_px)
 
 
 def _bins(low_m: float, high_m: float) -> range:

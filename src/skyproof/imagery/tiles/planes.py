@@ -79,8 +79,7 @@ def share_planes(
         # Read by one thread, because files of GDAL belong to one.
         pictures = (_coarse_picture(sources[i], reader, pixel_m, labels) for i in alone)
         for number, view in enumerate(pool.map(lambda each: CoarseView.of(*each), pictures), 1):
-            stood = sources[alone[number - 1]].exif.place
-            views.append(dataclasses.replace(view, stood=stood))
+            views.append(dataclasses.replace(view, stood=sources[alone[number - 1]].exif.place))
             if progress is not None:
                 progress(number, 2 * len(alone))
     pairs = find_pairs(

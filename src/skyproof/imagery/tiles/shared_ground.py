@@ -180,7 +180,6 @@ def _matches(
 
 
 def _compared(one: CoarseView, two: CoarseView, matches: _Matches) -> PhotographPair | None:
-    """Looks closely at two photographs."""
     found = _similarity(one, two, matches.points, matches.partners)
     if found is None:
         return None

@@ -136,8 +136,7 @@ def tile_imagery(
             image = read_cell(cell, sources, reader)
             if image is not None:
                 tile, annotations[cell.id] = _cut_tile(folder, cell, image, sources, placed)
-                flight = flights[int(image.owner.max())]
-                tiles.append(dataclasses.replace(tile, flight=flight))
+                tiles.append(dataclasses.replace(tile, flight=flights[int(image.owner.max())]))
             if progress is not None:
                 progress(done, len(cells))
     # Too little imagery is refused before anything else is written.

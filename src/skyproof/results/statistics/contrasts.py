@@ -276,8 +276,7 @@ def _swapped_p(differences: Float[np.ndarray, " C"], slack: float) -> float:
     shares = np.zeros(_STEPS + 1)
     shares[0] = 1.0
     for step in steps:
-        turned = shares[: _STEPS + 1 - step].copy()
-        shares[step:] += turned
+        shares[step:] += shares[: _STEPS + 1 - step].copy()
         shares /= 2
     return 2 * float(shares.sum())
 

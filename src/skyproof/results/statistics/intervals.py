@@ -114,13 +114,9 @@ def superiority_interval(
         wins = ((drawn @ sums) * drawn).sum(axis=1)
         return share_of(wins, (drawn @ values) * (drawn @ others))
 
-    return bootstrap_interval(
-        float(chance(np.ones((1, count)))[0]),
-        chance(weights.astype(np.float64)),
-        chance(1 - np.eye(count)),
-        (0.0, 1.0),
-        count,
-    )
+    estimate = float(chance(np.ones((1, count)))[0])
+    replicates = chance(weights.astype(np.float64))
+    return bootstrap_interval(estimate, replicates, chance(1 - np.eye(count)), (0.0, 1.0), count)
 
 
 def resampled(
@@ -174,7 +170,6 @@ class Sample:
 def _summed(
     counts: Num[np.ndarray, "S N K"], number: Int[np.ndarray, " N"]
 ) -> Num[np.ndarray, "S G K"]:
-    """Sums the counts of the cells of each group."""
     if not len(number):
         return counts
     order = np.argsort(number, kind="stable")

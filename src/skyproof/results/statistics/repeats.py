@@ -122,8 +122,5 @@ def spread_of_repeats(
         below = min(margin, scale * float(rates.mean() - min(rates.min(), 0.0)))
         above = min(margin, scale * float(max(rates.max(), 1.0) - rates.mean()))
         margins.append((below, above) if sign > 0 else (above, below))
-    return (
-        variances,
-        math.hypot(*(below for below, _ in margins)),
-        math.hypot(*(above for _, above in margins)),
-    )
+    below, above = (math.hypot(*(margin[side] for margin in margins)) for side in (0, 1))
+    return variances, below, above

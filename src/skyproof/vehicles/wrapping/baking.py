@@ -37,11 +37,8 @@ def bake(
     """Gives every texel the colour of the nearest outer surface of the mesh that faces alike."""
     points, normals = _texel_places(wrapping)
     kept = np.flatnonzero(wrapping.hull.inside(outer.points, _OUTSIDE_M))
-    tree = cKDTree(
-        np.hstack([outer.points[kept], _TURN_M / 2 * outer.normals[kept]]),
-        balanced_tree=False,
-        compact_nodes=False,
-    )
+    known = np.hstack([outer.points[kept], _TURN_M / 2 * outer.normals[kept]])
+    tree = cKDTree(known, balanced_tree=False, compact_nodes=False)
     wanted = np.concatenate([points, _TURN_M / 2 * normals], axis=-1).reshape(-1, 6)
     distance, nearest = tree.query(wanted, k=_NEIGHBOURS, eps=0.02)
     nearest = kept[nearest]

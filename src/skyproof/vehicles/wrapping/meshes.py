@@ -65,8 +65,7 @@ class SourceMesh:
         alpha = np.ones(len(face))
         for index, material in enumerate(self.materials):
             covered = self.material[face] == index
-            missing = covered & np.isnan(colours[:, 0])
-            colours[missing] = material.colour
+            colours[covered & np.isnan(colours[:, 0])] = material.colour
             if material.picture is not None and covered.any():
                 texels = _sample(material.picture, uv[covered]) / 255
                 colours[covered] = _tinted(texels[:, :3], material.tint)

@@ -1,7 +1,5 @@
 """Reads a textured mesh file through trimesh: OBJ, GLB, glTF and others."""
 
-from __future__ import annotations
-
 import io
 import logging
 import re
@@ -23,13 +21,7 @@ from skyproof.errors import ConfigurationError
 from skyproof.geometry.colour import linear_to_srgb
 from skyproof.pictures import decoded
 from skyproof.vehicles.wrapping.gltf import refuse_misread
-from skyproof.vehicles.wrapping.meshes import (
-    GREY,
-    Material,
-    SourceMesh,
-    find_texture,
-    is_picture,
-)
+from skyproof.vehicles.wrapping.meshes import GREY, Material, SourceMesh, find_texture, is_picture
 
 # What else trimesh opens are archives, documents with programs, and forms without triangles.
 _FORMATS = (".obj", ".glb", ".gltf", ".ply", ".stl", ".off")
@@ -86,7 +78,7 @@ class _Neighbours(Resolver):
     def write(self, name: str, data: Any) -> None:
         raise NotImplementedError
 
-    def namespaced(self, namespace: str) -> _Neighbours:
+    def namespaced(self, namespace: str) -> "_Neighbours":
         return self
 
     def keys(self) -> list[str]:

@@ -204,7 +204,6 @@ def _ring(
     place: Float[np.ndarray, " 17"],
     row: int,
 ) -> Float[np.ndarray, "32 3"]:
-    """Returns the 32 points of one ring."""
     points = np.zeros((COLUMNS, 3))
     points[:, 0] = sections.station[row]
     axis_z, low = sections.axis_z[row], sections.low[row]
