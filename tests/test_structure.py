@@ -215,6 +215,14 @@ def test_ultralytics_is_imported_in_one_file_and_only_when_used():
     assert not any(name.startswith("ultralytics") for name in at_once)
 
 
+def test_onnx_is_imported_in_one_file_and_only_when_used():
+    # The plain install has neither.
+    modules = sources()
+    for package in ("onnx", "onnxruntime"):
+        assert importers(modules, package) == ["detectors.onnx_file"]
+        assert package not in imports(modules["detectors.onnx_file"], at_import_time=True)
+
+
 def test_blenders_interface_is_imported_in_one_file_that_stands_alone():
     # It is under the GPL, and so is that file: it shares no code with the rest, in either
     # direction.

@@ -189,7 +189,11 @@ def test_detectors_that_are_not_there_or_say_no_classes(tmp_path, skyproof: Skyp
     skyproof("assess", file, "--out", out).refused("best.pt is a checkpoint", "--vehicle-classes")
     onnx = tmp_path / "best.onnx"
     onnx.write_bytes(b"")
-    skyproof("assess", onnx, "--out", out).refused("it is an ONNX file", "onnx_file.py")
+    skyproof("assess", onnx, "--out", out).refused("best.onnx is a checkpoint", "--vehicle-classes")
+    call = ("assess", onnx, "--vehicle-classes", "car", "--out", out)
+    skyproof(*call, "--architecture", "fcos").refused("is an ONNX file", "leave out --architecture")
+    skyproof(*call[:2], "retinanet", *call[2:]).refused("is an ONNX file", "assessed alone")
+    skyproof(*call).refused("no detector in an ONNX file")
     assert not out.exists()
     for name in ("my town", "mean"):
         call = ("assess", file, "--vehicle-classes", "car", "--out", tmp_path / name)

@@ -160,7 +160,7 @@ def assess(
 
     Args:
         detector: a detector folder, "retinanet" or "faster_rcnn", or several of them, which are
-            attacked together; or a checkpoint file; or a callable, which takes sRGB images
+            attacked together; or a checkpoint or ONNX file; or a callable: it takes sRGB images
             `[B, 3, H, W]` in [0, 1] and returns boxes `[K, 4]` (left, top, right, bottom in pixels)
             and scores `[K]` of each; or a MAITE model.
         out: run folder.
@@ -170,10 +170,10 @@ def assess(
         labels: file or folder of labels of the vehicles in the imagery.
         label_classes: vehicle classes of the labels; FIELD=CLASS also names the field of a vector
             file.
-        vehicle_classes: vehicle classes of a checkpoint, of a MAITE model, or of a callable whose
+        vehicle_classes: vehicle classes of a file, of a MAITE model, or of a callable whose
             answers also have `labels` (numbers as text).
         architecture: architecture of a torchvision checkpoint.
-        detector_gsd: metres per pixel that a checkpoint or a callable was made for.
+        detector_gsd: metres per pixel that a file or a callable was made for.
         accept: share of found vehicles that the worst attack may hide.
         reject: share of hidden vehicles from which a detector is rejected.
         producer_risk: largest chance that a detector at `accept` is rejected.

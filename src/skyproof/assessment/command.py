@@ -58,7 +58,7 @@ class Request:
 
     Attributes:
         detectors: detector folders, "retinanet" or "faster_rcnn", which are attacked together and
-            tested one by one, or a single checkpoint file of Ultralytics or torchvision.
+            tested one by one, or a single checkpoint of Ultralytics or torchvision, or ONNX file.
         out: run folder to write.
         imagery: orthophotos of at least 24 m on each side, or folders of them, as GeoTIFF, or JPEG
             or PNG with `--gsd`. Without any, ground is drawn, and the result says nothing about
@@ -68,9 +68,9 @@ class Request:
             GeoJSON, GeoPackage or Shapefile. They freeze the threshold.
         label_classes: vehicle classes of the labels, if they have several classes. FIELD=CLASS
             also names the field of a vector file.
-        vehicle_classes: vehicle classes of a checkpoint (Ultralytics: names, torchvision: numbers).
+        vehicle_classes: vehicle classes of a file: names, or numbers if it has none (torchvision).
         architecture: architecture of a torchvision checkpoint, as for `skyproof import`.
-        detector_gsd: metres per pixel that a checkpoint was made for (0.125).
+        detector_gsd: metres per pixel that a file was made for (0.125, or as an ONNX file says).
         accept: share of found vehicles that the worst attack may hide. With `--reject` the report
             accepts or rejects each detector.
         reject: share of hidden vehicles from which a detector is rejected.
@@ -161,12 +161,17 @@ class Request:
                     f"{option} is for checkpoint files, and {place} is a folder, which says it "
                     "itself; leave the option out."
                 )
+        elif place.suffix.lower() == ".onnx" and (self.architecture or len(self.detectors) > 1):
+            raise ConfigurationError(
+                f"{place} is an ONNX file, which is assessed alone and holds its architecture; "
+                "leave out --architecture and other detectors."
+            )
         elif len(self.detectors) > 1:
             raise ConfigurationError(
                 f"{place} is a checkpoint file, which is assessed alone; make a detector folder of "
                 "it first (skyproof import), and give that beside the others."
             )
-        elif not self.vehicle_classes and place.suffix.lower() not in (".onnx", ".dlpk"):
+        elif not self.vehicle_classes and place.suffix.lower() != ".dlpk":
             raise ConfigurationError(
                 f"{place} is a checkpoint file, whose classes may be anything; say with "
                 "--vehicle-classes which of them are vehicles."

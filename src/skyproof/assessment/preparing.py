@@ -104,9 +104,8 @@ def drawn_ground(
 def detector(its: Subject, number: int) -> Iterator[Step]:
     """Brings a detector into the run folder; labels freeze its threshold, if there are any."""
     name = its.names[number]
-    place = None if its.black_box is not None else its.request.detectors[number]
-    stored = place is not None and detector_folder(place).is_dir()
-    if place is not None and stored:
+    place = its.request.detectors[number]
+    if its.black_box is None and detector_folder(place).is_dir():
         yield frozen_on_labels(its, name, place) if its.labelled else copied(its, name, place)
     elif its.labelled:
         yield brought(its, name, place, its.layout.tiles / "validation")
@@ -161,7 +160,7 @@ def frozen_on_labels(its: Subject, name: str, place: Path) -> Step:
     return Step("threshold", name, (out / "detector.json",), work, settings, effort_s=_LONG_S)
 
 
-def brought(its: Subject, name: str, place: Path | None, validation: Path) -> Step:
+def brought(its: Subject, name: str, place: Path, validation: Path) -> Step:
     """Imports a checkpoint or takes a black-box detector, with a threshold frozen on images."""
     request, out = its.request, its.layout.detector(name)
 
@@ -171,7 +170,6 @@ def brought(its: Subject, name: str, place: Path | None, validation: Path) -> St
             write_card(out / "detector.json", its.black_box.card)
             say_card(its.black_box.card, out)
             return
-        assert place is not None
         Import(
             place,
             "torchvision" if request.architecture else "ultralytics",
@@ -184,8 +182,10 @@ def brought(its: Subject, name: str, place: Path | None, validation: Path) -> St
         ).run()
 
     read = its.sources.get(str(place))
-    settings = (read, request.vehicle_classes, request.architecture, validation)
-    kind = "threshold" if place is None else "import"
+    # An ONNX file resizes images itself.
+    form = request.architecture if its.black_box is None else request.detector_gsd
+    settings = (read, request.vehicle_classes, form, validation)
+    kind = "import" if its.black_box is None else "threshold"
     return Step(kind, name, (out / "detector.json",), work, settings, effort_s=_LONG_S)
 
 

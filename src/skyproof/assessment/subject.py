@@ -27,6 +27,7 @@ from skyproof.detectors.card import (
 )
 from skyproof.detectors.detector import Detector, TrainableDetector
 from skyproof.detectors.loaded import load_detector, load_ensemble
+from skyproof.detectors.onnx_file import OnnxFile
 from skyproof.device import choose_device
 from skyproof.errors import ConfigurationError, SkyproofError
 from skyproof.files import file_digest
@@ -58,8 +59,8 @@ _SIDES = (".shp", ".dbf", ".prj")
 class Subject:
     """The detectors, ground and vehicles of an assessment, which its steps share.
 
-    Sources are the SHA-256 of the user's files, by path; a black box is a Python object. Notes on
-    imagery that the first look has `told` are not told again.
+    Sources are the SHA-256 of the user's files, by path; a black box is a Python object or an ONNX
+    file. Notes on imagery that the first look has `told` are not told again.
     """
 
     request: Request
@@ -196,6 +197,12 @@ def subject_of(request: Request, suite: Suite, black_box: BlackBoxDetector | Non
     folders = [detector_folder(place) for place in places]
     if black_box is not None:
         known = [(black_box.name, usual_m)]
+    elif folders[0].suffix.lower() == ".onnx" and folders[0].is_file():
+        # It is asked like a callable, and resizes images to its own resolution.
+        classes = request.vehicle_classes
+        file = OnnxFile(folders[0], classes, request.detector_gsd, REFERENCE_GSD_M)
+        black_box = BlackBoxDetector(file, request.checkpoint_name, vehicle_classes=classes)
+        known = [(black_box.name, REFERENCE_GSD_M)]
     elif folders[0].is_file():
         known = [(request.checkpoint_name, usual_m)]
     else:

@@ -53,6 +53,7 @@ class BlackBoxDetector(Detector):
             vehicle_classes = vehicle_classes or [*detector._vehicle_classes]
         self._detect: Any = getattr(wrapped, "detect", wrapped)
         self._wrapped = detector
+        self.window_px = getattr(detector, "window_px", self.window_px)
         self._vehicle_classes = frozenset(vehicle_classes)
         self._finds_others = False
         self._classes_seen: set[str] = set()

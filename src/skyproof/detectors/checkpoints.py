@@ -212,8 +212,8 @@ def _what_came(path: Path) -> str:
     """Describes a file that is no checkpoint in a few words."""
     if path.suffix == ".safetensors":
         return "it is no safetensors file, or damaged"
-    if path.suffix == ".onnx":
-        return "it is an ONNX file (see examples/recipes/onnx_file.py)"
+    if path.suffix.lower() == ".onnx":
+        return "it is an ONNX file, which skyproof assess takes as it is"
     try:
         with path.open("rb") as file:
             begin = file.read(2)

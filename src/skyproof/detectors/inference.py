@@ -111,7 +111,7 @@ def detect_in_windows(detector: Detector, picture: Picture) -> Detections:
     """Runs a detector over a picture window by window, and merges the detections."""
     windows = covering_windows(picture.size_px, detector.window_px)
     at_once = max(1, _WINDOW_BATCH_SIZE * WINDOW_PX**2 // detector.window_px**2)
-    around = zip(windows, _cores(windows), strict=True)
+    around = zip(windows, cores(windows), strict=True)
     views = picture.windows(windows)
     boxes: list[Tensor] = []
     scores: list[Tensor] = []
@@ -120,11 +120,8 @@ def detect_in_windows(detector: Detector, picture: Picture) -> Detections:
         for found, (window, core) in zip(
             answers, itertools.islice(around, len(images)), strict=True
         ):
-            shift = torch.tensor([window.left, window.top] * 2, dtype=torch.float32)
-            moved = found.boxes.cpu() + shift
-            centres = (moved[:, :2] + moved[:, 2:]) / 2
-            kept = ((centres >= core[:2]) & (centres < core[2:])).all(dim=1)
-            boxes.append(moved[kept])
+            placed, kept = moved(found.boxes.cpu(), window, core)
+            boxes.append(placed[kept])
             scores.append(found.scores.cpu()[kept])
     all_boxes = torch.cat(boxes)
     all_scores = torch.cat(scores)
@@ -133,7 +130,14 @@ def detect_in_windows(detector: Detector, picture: Picture) -> Detections:
     return Detections(all_boxes[order], all_scores[order])
 
 
-def _cores(windows: Sequence[Window]) -> Float[Tensor, "W 4"]:
+def moved(boxes: Tensor, window: Window, core: Tensor) -> tuple[Tensor, Tensor]:
+    """Moves boxes of a window into its picture; also says which have their centre in the core."""
+    placed = boxes + torch.tensor([window.left, window.top] * 2, dtype=torch.float32)
+    centres = (placed[:, :2] + placed[:, 2:]) / 2
+    return placed, ((centres >= core[:2]) & (centres < core[2:])).all(dim=1)
+
+
+def cores(windows: Sequence[Window]) -> Float[Tensor, "W 4"]:
     """The core of each window: slightly beyond the middle of overlaps, open at the border."""
     edges = []
     for axis in (0, 1):

@@ -71,7 +71,7 @@ class YoloDetector(TrainableDetector):
         if "angle" in outputs:
             angles = outputs["angle"].permute(0, 2, 1)
             centred = dist2rbox(distances, angles, points)
-            half = _upright(centred[..., 2:] / 2, angles)
+            half = upright(centred[..., 2:] / 2, angles)
             boxes = torch.cat([centred[..., :2] - half, centred[..., :2] + half], dim=-1)
         else:
             boxes = dist2bbox(distances, points, xywh=False)
@@ -254,7 +254,7 @@ def _refuse_wide_windows(layers: torch.nn.Module) -> None:
                 )
 
 
-def _upright(half: Tensor, angles: Tensor) -> Tensor:
+def upright(half: Tensor, angles: Tensor) -> Tensor:
     """Turns half sides `[..., 2]` of turned boxes into those of the upright boxes around them."""
     cosine = angles.cos().abs()
     sine = angles.sin().abs()
