@@ -30,6 +30,7 @@ TINY_SUITE = replace(
     attack_m=16.0,
     image_m=16.0,
     test_images=6,
+    empty_images=6,
     tiles=(1, 1, 2, 3),
     vehicles=(1, 1, 2, 3),
 )

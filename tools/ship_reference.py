@@ -2,9 +2,13 @@
 
     skyproof reproduce --preset reference --out runs/reference --cores 2
     python tools/ship_reference.py runs/reference
-    skyproof assess retinanet --out runs/plain
-    skyproof harden runs/plain --data runs/reference/datasets/train --steps 2000 --out runs/hardened
-    python tools/ship_reference.py runs/reference --hardened runs/hardened
+    for name in retinanet faster_rcnn; do
+      skyproof assess $name --out runs/$name
+      skyproof harden runs/$name --data runs/reference/datasets/train \\
+        --out runs/${name}_hardened
+    done
+    python tools/ship_reference.py runs/reference \\
+        --hardened runs/retinanet_hardened runs/faster_rcnn_hardened
 
 Weights are halved. What is told of the detectors is measured on the halved ones: the threshold and
 the scores of validation on the run's validation images, the check on the run's own scenes.
@@ -52,7 +56,7 @@ README = """\
 # The reference detectors
 
 Slim versions of RetinaNet and Faster R-CNN that come with skyproof, so that a first report needs no
-training, and a RetinaNet after `skyproof harden`. Each is a detector folder like any other:
+training, and both after `skyproof harden`. Each is a detector folder like any other:
 `detector.json`, `weights.safetensors` and `precheck.json`, what `skyproof precheck` found of it.
 
 **What they are for:** a first report, tests, examples, and to compare a detector of your own with.
@@ -65,9 +69,13 @@ on your imagery `skyproof precheck` tells.
 ```
 skyproof reproduce --preset reference --out runs/reference --cores 2
 python tools/ship_reference.py runs/reference
-skyproof assess retinanet --out runs/plain
-skyproof harden runs/plain --data runs/reference/datasets/train --steps 2000 --out runs/hardened
-python tools/ship_reference.py runs/reference --hardened runs/hardened
+for name in retinanet faster_rcnn; do
+  skyproof assess $name --out runs/$name
+  skyproof harden runs/$name --data runs/reference/datasets/train \\
+    --out runs/${{name}}_hardened
+done
+python tools/ship_reference.py runs/reference \\
+    --hardened runs/retinanet_hardened runs/faster_rcnn_hardened
 ```
 
 in a checkout. No data and no weights of others went in.
@@ -98,13 +106,13 @@ class ShipReference:
     Attributes:
         run_folder: a finished run of the preset `reference`.
         out: folder that comes with the package.
-        hardened: a run of `skyproof harden` on its RetinaNet, to be shipped, too.
+        hardened: runs of `skyproof harden` on its detectors, to be shipped, too.
         device: auto, cpu or cuda.
     """
 
     run_folder: Annotated[Path, tyro.conf.Positional]
     out: Path = REFERENCE_FOLDER
-    hardened: Path | None = None
+    hardened: tuple[Path, ...] = ()
     device: str = "auto"
 
     def run(self) -> None:
@@ -121,9 +129,9 @@ class ShipReference:
         self.out.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory() as scratch:
             sources = {Path(scratch) / name: layout.detector(name) for name in REFERENCE_DETECTORS}
-            if self.hardened is not None:
-                (name,) = HARDENED_DETECTORS
-                sources[Path(scratch) / name] = Layout(self.hardened).detector("retinanet")
+            for run in self.hardened:
+                (source,) = Layout(run).detectors.iterdir()
+                sources[Path(scratch) / f"{source.name}_hardened"] = source
             rows = []
             for folder, source in sources.items():
                 # Each alone, because a precheck tells detectors apart by their names.

@@ -4,14 +4,16 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 import torch
 
+from skyproof.assessment import preparing
 from skyproof.assessment.assess import assess_steps
 from skyproof.assessment.command import Request
 from skyproof.assessment.judging import scored_names, still_open
-from skyproof.assessment.preparing import fleets, frozen_on_labels
+from skyproof.assessment.preparing import fleets, frozen_on_labels, scenes
 from skyproof.assessment.run import RunEnded
 from skyproof.assessment.subject import Subject
 from skyproof.assessment.suite import DEMO_SUITE, read_suite
@@ -21,6 +23,7 @@ from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.answers import BlackBoxDetector
 from skyproof.detectors.card import REFERENCE_DETECTORS, read_card, reference_folder
 from skyproof.files import file_digest
+from skyproof.imagery.settings import tiling_for_images
 from skyproof.layout import Layout
 from skyproof.results.rows_file import flat_row
 from skyproof.scenes.background_index import BackgroundTile, save_tile, write_index
@@ -349,12 +352,34 @@ def test_images_cover_the_same_ground_at_every_resolution(gsd_m, image_px, attac
     assert (its.image_px, its.attack_px) == (image_px, attack_px)
 
 
-def test_version_nine_is_frozen():
+def test_drawn_ground_is_enough_for_its_false_alarms():
+    area_km2 = SUITE.empty_images * SUITE.image_m**2 / 1e6
+    # Chance moves 30 false alarms by a fifth, and 3 are the fewest that choose a threshold.
+    assert 100 * area_km2 > 30
+    assert 10 * area_km2 > 3
+    side_m = tiling_for_images(192, gsd_m=0.125, imagery=False).size_px * 0.125
+    assert SUITE.tiles[3] * side_m**2 / 1e6 > area_km2
+
+
+@pytest.mark.parametrize(("tiles", "images"), [(2, 13), (200, SUITE.empty_images)])
+def test_no_more_empty_images_than_the_test_tiles_have_room_for(monkeypatch, tiles, images):
+    its = subject(Path("mine"), imagery=(), labels=None)
+    tile = Mock(width_px=its.image_px * 5 // 2, height_px=its.image_px * 5 // 2)
+    ground = Mock(tiles={"test": [tile] * tiles}.__getitem__)
+    monkeypatch.setattr(preparing.BackgroundSet, "open", lambda folder: ground)
+    drawn = Mock()
+    monkeypatch.setattr(preparing, "draw_scenes", drawn)
+    scenes(its, its.layout, "empty").work()
+    scenes(its, its.layout, "test").work()
+    assert [call.kwargs["count"] for call in drawn.mock_calls] == [images, SUITE.test_images]
+
+
+def test_version_ten_is_frozen():
     """Another suite is another version: numbers of one cannot be compared with the other's."""
-    assert SUITE.version == 9
+    assert SUITE.version == 10
     assert (
         file_digest(SUITE_FILE)
-        == "fd0d338acacb84026fee4393e8f5ec3cf2e24bd588b23f20137d6fb6f8623c66"
+        == "4275a4c0349903fd05082c33b24498f98764c885749f516e4842358dafe81682"
     )
 
 

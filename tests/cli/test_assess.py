@@ -29,6 +29,7 @@ TINY = replace(
     attack_m=12.0,
     image_m=16.0,
     test_images=6,
+    empty_images=6,
     tiles=(1, 1, 2, 4),
     vehicles=(1, 1, 2, 2),
     check_scenes=1,
@@ -73,7 +74,7 @@ def test_from_a_detector_folder_to_a_report(assessed):
     (worst,) = results["worst_cases"]
     assert worst["attacks"] == list(TINY.attacks)
     config = json.loads((assessed / "run/config.json").read_text())
-    assert config["suite"]["version"] == 9
+    assert config["suite"]["version"] == 10
     assert config["imagery"] == "procedural"
     check = json.loads((assessed / "run/detectors/retinanet/precheck.json").read_text())
     # What was measured when the detector was made is not what is found here.

@@ -46,6 +46,7 @@ _SUITE = replace(
     attack_m=12.0,
     image_m=12.0,
     test_images=2,
+    empty_images=2,
     tiles=(1, 1, 1, 1),
     vehicles=(1, 1, 1, 1),
 )

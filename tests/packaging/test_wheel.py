@@ -118,7 +118,7 @@ whole = suite.read_suite(suite.DEMO_SUITE)
 tiny = replace(
     whole, attacks=("T-U",), steps=replace(whole.steps, texture=1), draws=1, best_of=2, searches=1,
     settings=replace(whole.settings, batch_size=2, balance_batches=1), image_m=16.0, test_images=6,
-    tiles=(1, 1, 2, 3), vehicles=(1, 1, 2, 3),
+    empty_images=6, tiles=(1, 1, 2, 3), vehicles=(1, 1, 2, 3),
 )
 assess.read_suite = lambda path: tiny
 raise SystemExit(run(["demo", "--out", "demo", "--device", "cpu"]))

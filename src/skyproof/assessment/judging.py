@@ -76,7 +76,7 @@ def precheck(its: Subject) -> Step:
         tuple(layout.precheck(name) for name in its.names),
         lambda: check.run(its.detectors),
         (its.names, scenes, suite.check_draws, its.seed, frames),
-        effort_s=START_S + _looked_at_s(its, "torch") * images / suite.test_images,
+        effort_s=START_S + _looked_at_s(its, "torch", images),
     )
 
 
@@ -144,7 +144,7 @@ def score(
         seed=its.seed,
         device=its.request.device,
     )
-    each_s = _looked_at_s(its, chosen.renderer)
+    images = its.suite.test_images * (1 + len(camouflages)) + its.suite.empty_images * first
     return Step(
         "score",
         title,
@@ -153,7 +153,7 @@ def score(
         (its.names, camouflages, its.seed, frames, chosen),
         inputs=tuple(camouflages),
         extra=rendering is not None,
-        effort_s=START_S + each_s * (1 + len(camouflages) + first),
+        effort_s=START_S + _looked_at_s(its, chosen.renderer, images),
     )
 
 
@@ -195,6 +195,6 @@ def _frames(its: Subject) -> tuple[str, ...]:
     return (f"{YOURS}={its.layout.tiles / 'test'}@{its.gsd_m}",) if its.labelled else ()
 
 
-def _looked_at_s(its: Subject, renderer: str) -> float:
-    """Estimated seconds to render all test scenes once and run all detectors on them."""
-    return (RENDER_S[renderer] + DETECT_S * len(its.names)) * its.test_megapixels
+def _looked_at_s(its: Subject, renderer: str, images: int) -> float:
+    """Estimated seconds to render so many images and run all detectors on them."""
+    return (RENDER_S[renderer] + DETECT_S * len(its.names)) * its.megapixels(images)

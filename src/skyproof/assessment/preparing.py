@@ -1,5 +1,6 @@
 """The steps before any attack: ground without vehicles, detectors with a threshold, test scenes."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
@@ -235,11 +236,17 @@ def _ground(split: Shown) -> Split:
     return "test" if split == "empty" else split
 
 
+def _images(its: Subject, split: Shown) -> int:
+    return its.suite.empty_images if split == "empty" else its.suite.test_images
+
+
 def scenes(its: Subject, layout: Layout, split: Shown, title: str = "") -> Step:
     """Draws the scenes of a split; "empty" are test scenes without vehicles."""
-    count, out, ground = its.suite.test_images, layout.scenes(split), _ground(split)
+    count, out, ground = _images(its, split), layout.scenes(split), _ground(split)
 
     def work() -> None:
+        tiles = BackgroundSet.open(layout.backgrounds).tiles(ground)
+        covered = sum(tile.width_px * tile.height_px for tile in tiles) / its.image_px**2
         # Only the run's own ground was cut from imagery.
         places: Places = "uniform"
         if layout == its.layout and its.request.imagery:
@@ -252,7 +259,8 @@ def scenes(its: Subject, layout: Layout, split: Shown, title: str = "") -> Step:
             fleet=layout.fleets / ground,
             out=out,
             split=ground,
-            count=count,
+            # More images than tiles have room for would show the same false alarms again.
+            count=min(count, math.ceil(covered)) if split == "empty" else count,
             settings=SceneSettings(
                 size_px=its.image_px, places=places, empty_share=float(split == "empty")
             ),
@@ -277,6 +285,6 @@ def rendered(
         out=out,
         device=its.request.device,
     )
-    effort_s = START_S + RENDER_S[chosen.renderer] * its.test_megapixels
+    effort_s = START_S + RENDER_S[chosen.renderer] * its.megapixels(_images(its, split))
     extra = rendering is not None
     return Step("render", title, (out,), render.run, chosen, extra=extra, effort_s=effort_s)

@@ -122,10 +122,9 @@ class Subject:
         """Side of the images in attacks."""
         return side_px(self.suite.attack_m, self.gsd_m)
 
-    @property
-    def test_megapixels(self) -> float:
-        """Million pixels of all test images, to estimate time."""
-        return self.suite.test_images * self.image_px**2 / 1e6
+    def megapixels(self, images: int) -> float:
+        """Million pixels of so many images as large as the test's, to estimate time."""
+        return images * self.image_px**2 / 1e6
 
     @property
     def labelled(self) -> bool:

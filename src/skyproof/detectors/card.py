@@ -20,7 +20,7 @@ from skyproof.words import detector_name, listed
 REFERENCE_DETECTORS = ("retinanet", "faster_rcnn")
 """YOLOv5 is trained on the user's machine, because its library has another licence."""
 
-HARDENED_DETECTORS = ("retinanet_hardened",)
+HARDENED_DETECTORS = ("retinanet_hardened", "faster_rcnn_hardened")
 """Reference detectors after `skyproof harden`, to set beside the plain ones."""
 
 SHIPPED_DETECTORS = (*REFERENCE_DETECTORS, *HARDENED_DETECTORS)
