@@ -90,7 +90,7 @@ def test_the_source_distribution_holds_the_reference_detectors(tmp_path: Path) -
         inside = {name.partition("/")[2] for name in archive.getnames()}
     place = SOURCE / "skyproof" / "detectors" / "reference"
     files = {path.relative_to(ROOT).as_posix() for path in place.rglob("*") if path.is_file()}
-    assert len(files) == 11
+    assert len(files) == 15
     assert inside >= {*files, "LICENSE"}
 
 
