@@ -245,8 +245,12 @@ def scenes(its: Subject, layout: Layout, split: Shown, title: str = "") -> Step:
     count, out, ground = _images(its, split), layout.scenes(split), _ground(split)
 
     def work() -> None:
-        tiles = BackgroundSet.open(layout.backgrounds).tiles(ground)
-        covered = sum(tile.width_px * tile.height_px for tile in tiles) / its.image_px**2
+        images = count
+        if split == "empty":
+            # More images than tiles have room for would show the same false alarms again.
+            tiles = BackgroundSet.open(layout.backgrounds).tiles(ground)
+            area_px = sum(tile.width_px * tile.height_px for tile in tiles)
+            images = min(count, math.ceil(area_px / its.image_px**2))
         # Only the run's own ground was cut from imagery.
         places: Places = "uniform"
         if layout == its.layout and its.request.imagery:
@@ -259,8 +263,7 @@ def scenes(its: Subject, layout: Layout, split: Shown, title: str = "") -> Step:
             fleet=layout.fleets / ground,
             out=out,
             split=ground,
-            # More images than tiles have room for would show the same false alarms again.
-            count=min(count, math.ceil(covered)) if split == "empty" else count,
+            count=images,
             settings=SceneSettings(
                 size_px=its.image_px, places=places, empty_share=float(split == "empty")
             ),

@@ -197,7 +197,7 @@ def subject_of(request: Request, suite: Suite, black_box: BlackBoxDetector | Non
     if black_box is not None:
         known = [(black_box.name, usual_m)]
     elif folders[0].suffix.lower() == ".onnx" and folders[0].is_file():
-        # It is asked like a callable, and resizes images to its own resolution.
+        # It answers like a callable, and resizes images to its own resolution.
         classes = request.vehicle_classes
         file = OnnxFile(folders[0], classes, request.detector_gsd, REFERENCE_GSD_M)
         black_box = BlackBoxDetector(file, request.checkpoint_name, vehicle_classes=classes)

@@ -62,8 +62,8 @@ class Suite:
         attack_m: side of the images in attacks, in metres.
         image_m: side of the test images, in metres.
         test_images: number of test images, each with 1 to 5 vehicles.
-        empty_images: test images without vehicles, or fewer that cover the test tiles. 100 false
-            alarms per km² are 34 on 600 of them, so chance moves the threshold little.
+        empty_images: test images without vehicles, at most as many as cover the test tiles. On 600
+            of them, 100 false alarms per km² are 34, so chance moves the threshold little.
         tiles: number of drawn tiles per split (train, validation, attack, test), without imagery.
         check_scenes: number of test scenes of the precheck; with 0 the stored precheck of the
             detector folder is used.

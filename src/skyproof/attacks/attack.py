@@ -114,9 +114,16 @@ def attack(
             optimiser, lambda step: 0.55 + 0.45 * math.cos(math.pi * (step / settings.steps))
         )
         parts |= {"optimiser": optimiser, "schedule": schedule}
-    steps = settings.steps, settings.checkpoint_every
-    remedy = f"remove {folder} and attack again"
-    loop = Loop(folder, identity, *steps, parts, other=_OTHER, remedy=remedy, on_row=on_step)
+    loop = Loop(
+        folder,
+        identity,
+        settings.steps,
+        settings.checkpoint_every,
+        parts,
+        other=_OTHER,
+        remedy=f"remove {folder} and attack again",
+        on_row=on_step,
+    )
     with alone(folder):
         # Another process may have finished it in the meantime.
         if (folder / "camouflage.json").exists():

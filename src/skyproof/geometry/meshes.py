@@ -119,7 +119,11 @@ def _edge_through(
     return through
 
 
-def _volume(*corners: Float[Tensor, "P 3"]) -> Float[Tensor, " P"]:
+def _volume(
+    a: Float[Tensor, "P 3"],
+    b: Float[Tensor, "P 3"],
+    c: Float[Tensor, "P 3"],
+    d: Float[Tensor, "P 3"],
+) -> Float[Tensor, " P"]:
     """Returns six times the signed volume of a tetrahedron."""
-    a, b, c, d = corners
     return (torch.linalg.cross(b - a, c - a) * (d - a)).sum(-1)

@@ -183,9 +183,15 @@ def draw_ground(size_px: int, gsd_m: float, *, generator: torch.Generator) -> Dr
     canvas.mute(rng.uniform(0.35, 1.0))
     camera = GroundSensor.draw(rng)
     image, light, shade = photograph(canvas, camera)
-    sensor = Sensor(round(camera.blur_px, 3), round(camera.noise, 5))
-    maps = (canvas.drivable(), shade, canvas.cover(camera.blur_px))
-    return DrawnGround(torch.from_numpy(image), kind, light, sensor, *maps)
+    return DrawnGround(
+        torch.from_numpy(image),
+        kind,
+        light,
+        Sensor(round(camera.blur_px, 3), round(camera.noise, 5)),
+        canvas.drivable(),
+        shade,
+        canvas.cover(camera.blur_px),
+    )
 
 
 def write_procedural_backgrounds(

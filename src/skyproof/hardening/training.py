@@ -38,7 +38,7 @@ _ALIVE, _LIFE_STEPS = 4, 80
 _KEPT, _KEPT_SHARE = 12, 0.3
 _CLIMB = AttackSettings(learning_rate=0.1)
 WEATHER = ("clear", "haze", "overcast", "exposure", "noise", "jpeg", "low_sun", "low_sun")
-# Half of the parent's weights keep its AP on photographs (docs/detectors.md).
+# With half of the parent's weights less AP on photographs is lost (docs/detectors.md).
 _PARENT_SHARE = 0.5
 # Of images without optimised camouflage; and vehicles on an image as small as those of attacks.
 EMPTY_SHARE, _MOST_VEHICLES = 0.5, 3

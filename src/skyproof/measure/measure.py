@@ -110,9 +110,14 @@ def _vehicles(
     matches: MatchTable, threshold: float
 ) -> dict[tuple[int, int], tuple[bool, float, float]]:
     """By image and index in it: whether a vehicle is found, its score and distance."""
-    places = (matches.image_of_vehicle, matches.index_of_vehicle)
-    known = (matches.found_at(threshold), matches.score_of_vehicle, matches.distance_of_vehicle_m)
-    rows = zip(*(column.tolist() for column in (*places, *known)), strict=True)
+    columns = (
+        matches.image_of_vehicle,
+        matches.index_of_vehicle,
+        matches.found_at(threshold),
+        matches.score_of_vehicle,
+        matches.distance_of_vehicle_m,
+    )
+    rows = zip(*(column.tolist() for column in columns), strict=True)
     return {(image, index): (found, score, far) for image, index, found, score, far in rows}
 
 

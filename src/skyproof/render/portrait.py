@@ -89,11 +89,16 @@ def portrait(
     camouflaged = camouflage(vehicles)
     reach_m = float(camouflaged.vertices[..., :2].norm(dim=-1).max())
     side_m = max(_PORTRAIT_SIDE_M, 2 * reach_m + _SHADOW_M)
-    how = {"heading_rad": math.radians(12), "gsd_m": _PORTRAIT_GSD_M, "side_m": side_m}
     rows = []
     for tilt_rad in (0.0, math.radians(40)):
         for worn in (vehicles, camouflaged):
-            pictures = close_up(worn, tilt_rad=tilt_rad, **how)
+            pictures = close_up(
+                worn,
+                tilt_rad=tilt_rad,
+                heading_rad=math.radians(12),
+                gsd_m=_PORTRAIT_GSD_M,
+                side_m=side_m,
+            )
             rows.append(torch.cat(list(pictures), dim=2))
     return torch.cat(rows, dim=1)
 

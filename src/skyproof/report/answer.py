@@ -232,7 +232,12 @@ def survival(first: Result, gross: RendererChange | None, net: RendererChange | 
 def _difference(
     results: Results, first: Result, second: Result, *, net: bool = False
 ) -> Interval | None:
-    between = {"first": first.renderer, "second": second.renderer}
-    change = results.change([first.camouflage], detector=first.detector, net=net, **between)
+    change = results.change(
+        [first.camouflage],
+        detector=first.detector,
+        net=net,
+        first=first.renderer,
+        second=second.renderer,
+    )
     known = change is not None and not math.isnan(change.difference.estimate)
     return change.difference if change is not None and known else None

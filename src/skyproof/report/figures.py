@@ -131,8 +131,14 @@ def loss_figure(title: str, curves: Mapping[str, Sequence[tuple[float, float]]])
             # At most 600 points: more cannot be seen, and would only make the page heavy.
             every = max(1, len(losses) // 600)
             axes.plot(steps[::every], losses[::every], color=colour, alpha=0.25, linewidth=0.8)
-            mean = (steps[window - 1 :][::every], smooth[::every], line)
-            axes.plot(*mean, color=colour, linewidth=1.8, label=detector_name(name))
+            axes.plot(
+                steps[window - 1 :][::every],
+                smooth[::every],
+                line,
+                color=colour,
+                linewidth=1.8,
+                label=detector_name(name),
+            )
         if positive:
             axes.set_yscale("log")
             # The default formatter writes formulas, which are not parsed.

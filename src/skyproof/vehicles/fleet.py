@@ -160,8 +160,10 @@ class Fleet:
         tensors, _ = read_tensors(path, _REMEDY)
         template = make_template()
         _check_tensors(path, tensors, len(stored.ids), len(template.mirror))
-        maps = {name: tensors[name] for name in ("vertices", "textures", "parts")}
-        return Fleet(stored.settings, template, stored.ids, sources=stored.sources, **maps)
+        vertices, textures, parts = (tensors[name] for name in ("vertices", "textures", "parts"))
+        return Fleet(
+            stored.settings, template, stored.ids, vertices, textures, parts, stored.sources
+        )
 
     def _row(self, vehicle_id: str) -> int:
         try:

@@ -132,7 +132,8 @@ def _shadow_side(stacked: Array) -> tuple[tuple[float, float], Array, float]:
     """
     near = _median_of(stacked[:, :, : round(NEAR_M / LAYER_M)].reshape(len(stacked), -1))
     near = near.reshape(DIRECTIONS, -1).mean(1)
-    x, y = (near[:, None] * np.array([*map(_unit, range(DIRECTIONS))])).sum(0)
+    units = np.array([_unit(number) for number in range(DIRECTIONS)])
+    x, y = (near[:, None] * units).sum(0)
     best = round(math.atan2(y, x) / (2 * math.pi) * DIRECTIONS) % DIRECTIONS
     across = (best + DIRECTIONS // 2) % DIRECTIONS
     profile = _median_of(stacked[:, best]) - _median_of(stacked[:, across])
