@@ -158,6 +158,31 @@ def test_a_mask_rcnn_is_imported_without_its_masks(tmp_path: Path) -> None:
         read_blueprint(replace(asked, vehicle_classes=("0",)), 1.0)
 
 
+@pytest.mark.parametrize(("better", "said"), [(False, "not normalised"), (True, "normalised")])
+def test_labels_tell_whether_a_network_of_torchgeo_normalises(
+    checkpoint: Checkpoint,
+    network: torch.nn.Module,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    better: bool,
+    said: str,
+) -> None:
+    settings = {"model": "faster-rcnn", "backbone": "resnet18", "freeze_backbone": False}
+    state = begun("model.", network.state_dict())
+    torch.save({"state_dict": state, "hyper_parameters": settings}, checkpoint.path)
+
+    def ap(detector: Any, images: Dataset) -> dict[str, float]:
+        assert images is VALIDATION
+        return {"ap_centre_1m": 0.6 if detector.network.normalised == better else 0.5}
+
+    monkeypatch.setattr("skyproof.detectors.import_checkpoint.validate", ap)
+    card = import_detector(checkpoint, VALIDATION, tmp_path / "out")
+    assert card.trained_on.endswith(f"vehicles.pth, colours {said}, as labels suggest")
+    loaded: Any = load_detector(tmp_path / "out")
+    assert loaded.network.normalised is better
+    assert validate(loaded, VALIDATION)["f1"] == pytest.approx(card.validation["f1"])
+
+
 def begun(prefix: str, state: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
     return {prefix + name: value for name, value in state.items()}
 

@@ -113,11 +113,20 @@ def torchvision_network(architecture: str, **limits: Any) -> nn.Module:
     return detection.RetinaNet(pyramid, 4, **limits)
 
 
-@pytest.mark.parametrize("architecture", [*ONE_OF_EACH, *OTHER_BACKBONES])
-def test_detections_are_those_of_torchvision(architecture: str) -> None:
+@pytest.mark.parametrize(
+    ("architecture", "normalised"),
+    [
+        *((name, True) for name in (*ONE_OF_EACH, *OTHER_BACKBONES)),
+        ("fasterrcnn_resnet18_fpn", False),
+    ],
+)
+def test_detections_are_those_of_torchvision(architecture: str, normalised: bool) -> None:
     torch.manual_seed(1)
-    ours = livened(ImportedDetector("mine", replace(PLAN, architecture=architecture)))
-    limits = {"min_size": 96, "max_size": 96}
+    plan = replace(PLAN, architecture=architecture, normalised=normalised)
+    ours = livened(ImportedDetector("mine", plan))
+    limits: dict[str, Any] = {"min_size": 96, "max_size": 96}
+    if not normalised:
+        limits |= {"image_mean": [0, 0, 0], "image_std": [1, 1, 1]}
     if "rcnn" in architecture:
         limits |= {"box_score_thresh": 0.01, "box_detections_per_img": 10_000}
     else:

@@ -95,7 +95,8 @@ class Blueprint:
     "ultralytics", with the content of its YAML. Vehicle classes are positions. `image_scale` is
     network pixels per image pixel, `norm_eps` the epsilon of the backbone's batch norm, if
     torchvision's published weights use another one than its layers. `side_px` is the side of the
-    images that the network was trained on, in its pixels, if the checkpoint tells.
+    images that the network was trained on, in its pixels, if the checkpoint tells. A network of
+    torchvision sees `normalised` colours, unless a program took that out; None if nothing tells.
     """
 
     kind: str
@@ -109,6 +110,7 @@ class Blueprint:
     checkpoint: Annotated[str, Meta(max_length=1000)]
     checkpoint_sha256: Annotated[str, Meta(max_length=64)]
     side_px: Annotated[int, Meta(ge=32, le=4096)] | None = None
+    normalised: bool | None = True
 
     def __post_init__(self) -> None:
         check_ranges(self)

@@ -16,7 +16,7 @@ from skyproof.detectors.card import DetectorCard, require_detector_name
 from skyproof.detectors.checkpoints import StandIn, networks_in, parts_of, read_checkpoint, state_of
 from skyproof.detectors.imported import ImportedDetector, class_rows
 from skyproof.detectors.loaded import save_detector
-from skyproof.detectors.validation import check_validation, frozen_card
+from skyproof.detectors.validation import check_validation, frozen_card, validate
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import file_digest, finished_folder, refuse_existing
 from skyproof.ranges import GroundResolution, check_value
@@ -95,6 +95,9 @@ def import_detector(
         )
     detector, blueprint, origin = read_network(checkpoint, scale, name)
     detector.eval().requires_grad_(False).to(device)
+    if blueprint.normalised is None:
+        blueprint = replace(blueprint, normalised=_sees_normalised(detector, validation))
+        origin += f", colours {'' if blueprint.normalised else 'not '}normalised, as labels suggest"
     remedy = (
         "check --vehicle-classes, and say which metres per pixel it was made for (--gsd; "
         "--detector-gsd of skyproof assess)"
@@ -155,7 +158,9 @@ def read_blueprint(
     digest = file_digest(checkpoint.path)
     tensors = len(state)
     architecture, classes, vehicles, eps = read(checkpoint, network, state, digest)
-    rest = (checkpoint.path.name, digest, _side_px(content))
+    # torchgeo took the normalising out in its release 0.8, and its files do not tell their release.
+    known = None if _made_by_torchgeo(content) else True
+    rest = (checkpoint.path.name, digest, _side_px(content), known)
     plan = Blueprint(checkpoint.kind, architecture, classes, vehicles, scale, eps, *rest)
     origin = f"{checkpoint.kind} checkpoint {checkpoint.path.name}"
     taken, *others = [repr(place[:100]) for place in places] or [""]
@@ -172,6 +177,21 @@ def _side_px(content: Any) -> int | None:
     settings = content.get("train_args") if isinstance(content, Mapping) else None
     side = settings.get("imgsz") if isinstance(settings, Mapping) else None
     return side if type(side) is int and 32 <= side <= 4096 else None
+
+
+def _made_by_torchgeo(content: Any) -> bool:
+    settings = content.get("hyper_parameters") if isinstance(content, Mapping) else None
+    return isinstance(settings, Mapping) and {"backbone", "freeze_backbone"} <= settings.keys()
+
+
+def _sees_normalised(detector: ImportedDetector, validation: Dataset) -> bool:
+    """Whether normalised colours give the higher AP; the network then sees the better ones."""
+    network: Any = detector.network
+    network.normalised = False
+    without = validate(detector, validation)["ap_centre_1m"]
+    network.normalised = True
+    network.normalised = validate(detector, validation)["ap_centre_1m"] >= without
+    return bool(network.normalised)
 
 
 def _torchvision(

@@ -189,7 +189,7 @@ def _network(blueprint: Blueprint) -> TorchvisionDetector | YoloNetwork | Anchor
         "retinanet": _ImportedRetinaNet,
     }
     family = families[blueprint.architecture.partition("_")[0]]
-    return family(model, tuple(blueprint.vehicle_classes))
+    return family(model, tuple(blueprint.vehicle_classes), blueprint.normalised is not False)
 
 
 def _torchvision_model(architecture: str, classes: int) -> Any:
@@ -240,11 +240,15 @@ def class_rows(architecture: str, state: Mapping[str, Tensor]) -> tuple[int, str
 class _Imported(TorchvisionDetector):
     """torchvision's normalising, and the vehicle classes, whose sigmoid scores are independent."""
 
-    def __init__(self, model: nn.Module, vehicle_classes: tuple[int, ...]) -> None:
+    def __init__(
+        self, model: nn.Module, vehicle_classes: tuple[int, ...], normalised: bool = True
+    ) -> None:
         TorchvisionDetector.__init__(self, "brought", model)
-        self.vehicle_classes = vehicle_classes
+        self.vehicle_classes, self.normalised = vehicle_classes, normalised
 
     def _normalise(self, images: Tensor) -> Tensor:
+        if not self.normalised:
+            return images
         mean, deviation = (images.new_tensor(each).view(3, 1, 1) for each in (MEAN, DEVIATION))
         return (images - mean) / deviation
 
