@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from skyproof.camouflage.camouflage import Camouflage
-from skyproof.camouflage.random_controls import wear_random_controls
+from skyproof.camouflage.random_controls import RandomPatterns, wear_random_shapes
 from skyproof.datasets.dataset import Dataset
 from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.render.dataset import placed_vehicles
@@ -63,8 +63,8 @@ class RenderedWorld:
         boxes: list[Tensor] = []
         for start in range(0, len(scenes), BATCH):
             batch = scenes[start : start + BATCH]
-            vehicles = placed_vehicles(self.fleets[split], batch)
-            frames = self.renderer()(batch, camouflage(vehicles) if camouflage else vehicles)
+            worn = camouflage or RandomPatterns(self.fleets[split])
+            frames = self.renderer()(batch, worn(placed_vehicles(self.fleets[split], batch)))
             images += list((frames.image * 255).round().byte())
             boxes += [frames.boxes[frames.scene_index == index] for index in range(len(batch))]
         return Dataset.of_images(images, boxes, gsd_m=0.125)
@@ -80,4 +80,4 @@ def _fleet(split: str) -> Fleet:
     generator = torch.Generator().manual_seed(list(TILES).index(split))
     paints = PAINTS if split in ("train", "validation") else CATALOGUE_PAINTS
     fleet = sample_fleet(FleetSettings(VEHICLES[split], paints=paints), generator=generator)
-    return wear_random_controls(fleet, generator=generator)
+    return wear_random_shapes(fleet, generator=generator)

@@ -27,7 +27,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from skyproof.camouflage.folder import load_camouflage
 from skyproof.camouflage.name import CamouflageName
-from skyproof.camouflage.random_controls import wear_random_controls
+from skyproof.camouflage.random_controls import RandomPatterns, wear_random_shapes
 from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.imagery.clearing.exemplar import fill_ground
 from skyproof.imagery.clearing.vehicle_masks import darkness_profiles, estimate_shadow, vehicle_mask
@@ -133,9 +133,9 @@ def draw_fleet(paints: PaintVariety = CATALOGUE_PAINTS, shapes: float = 0.0) -> 
             shapes=shapes,
         )
         fleets.append(sample_fleet(settings, generator=torch.Generator().manual_seed(24 + index)))
-    fleet = wear_random_controls(mix_fleets(fleets), generator=torch.Generator().manual_seed(24))
+    fleet = wear_random_shapes(mix_fleets(fleets), generator=torch.Generator().manual_seed(24))
     names = fleet.ids
-    vehicles = fleet.batch(names)
+    vehicles = RandomPatterns(fleet)(fleet.batch(names))
     sharp = close_up(
         vehicles,
         gsd_m=GSD_M / ENLARGE,

@@ -5,7 +5,7 @@ from collections import Counter
 import pytest
 import torch
 
-from skyproof.camouflage.random_controls import wear_random_controls
+from skyproof.camouflage.random_controls import RandomPatterns, wear_random_shapes
 from skyproof.errors import ConfigurationError
 from skyproof.geometry.colour import srgb_to_cielab
 from skyproof.vehicles.fleet import Fleet, FleetSettings, sample_fleet
@@ -88,7 +88,8 @@ def test_without_variety_a_fleet_is_what_it_always_was() -> None:
     assert torch.equal(usual.textures, named.textures)
     assert torch.equal(usual.vertices, named.vertices)
     assert not usual.sources
-    assert torch.equal(wear_random_controls(usual, generator=_generator()).textures, usual.textures)
+    worn = usual.batch(usual.ids)
+    assert RandomPatterns(usual)(worn).texture is worn.texture
 
 
 def test_coats_cover_the_body_and_half_of_the_plain_ones_glass_too() -> None:
@@ -115,21 +116,30 @@ def test_coats_cover_the_body_and_half_of_the_plain_ones_glass_too() -> None:
     assert len(covered) == 12
 
 
-def test_patterns_are_laid_on_their_vehicles_alone_six_of_eighteen_on_paint_only() -> None:
+def test_patterns_are_laid_on_marked_vehicles_alone_and_are_others_in_every_image() -> None:
     fleet = _varied(72)
-    worn = wear_random_controls(fleet, generator=_generator(5))
+    marked = [name for name in fleet.ids if _coat(fleet, name) == "patterned"]
+    dress = RandomPatterns(fleet)
+    vehicles = fleet.batch(fleet.ids)
+    worn = dress(vehicles)
     whole = 0
     for row, name in enumerate(fleet.ids):
-        changed = (worn.textures[row] != fleet.textures[row]).any(dim=0)
-        if _coat(fleet, name) != "patterned":
+        changed = (worn.texture[row] != vehicles.texture[row]).any(dim=0)
+        if name not in marked:
             assert not changed.any()
             continue
         body = fleet.parts[row] == Part.BODY
         assert float(changed[body].float().mean()) > 0.9
         whole += bool(changed[~body].any())
-    assert whole == 12
-    again = wear_random_controls(fleet, generator=_generator(5))
-    assert torch.equal(again.textures, worn.textures)
+    # Six of eighteen kinds are laid on paint only.
+    assert 7 <= whole <= 17
+    assert len(marked) == 18
+    assert torch.equal(dress(vehicles).texture, worn.texture)
+    pair = fleet.batch([marked[0], marked[0]])
+    first, second = dress(pair).texture
+    assert not torch.equal(first, second)
+    others = dress(fleet.batch([marked[0], marked[1]])).texture
+    assert not torch.equal(others[0], first)
 
 
 def test_shapes_are_pushed_out_whatever_the_coat_each_by_its_own_map() -> None:
@@ -138,7 +148,7 @@ def test_shapes_are_pushed_out_whatever_the_coat_each_by_its_own_map() -> None:
     # Shapes are drawn last, so that a fleet with them is otherwise the one without.
     assert torch.equal(fleet.textures, plain.textures)
     assert torch.equal(fleet.vertices, plain.vertices)
-    worn = wear_random_controls(fleet, generator=_generator(5))
+    worn = wear_random_shapes(fleet, generator=_generator(5))
     shaped = [name for name in fleet.ids if fleet.sources.get(name, {}).get("shape") == "random"]
     assert len(shaped) == 12
     assert {_coat(fleet, name) for name in shaped} > {"catalogue", "patterned"}

@@ -6,14 +6,17 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.make import make_camouflage
 from skyproof.camouflage.name import CamouflageName, TextureConstraints
 from skyproof.camouflage.settings import CamouflageSettings
 from skyproof.geometry.colour import cielab_to_srgb, srgb_to_cielab
+from skyproof.randomness import generator_of
 from skyproof.vehicles.fleet import Fleet
 from skyproof.vehicles.paints import varied_colours
+from skyproof.vehicles.vehicle import VehicleBatch
 
-# Colours of the ground over glass and wheels hide most: four times as many vehicles wear them.
+# Colours of the ground over glass and wheels hide most, so they are drawn four times as often.
 _TEXTURES = tuple(
     TextureConstraints.parse(name)
     for name in (
@@ -31,47 +34,54 @@ _WIDEST_LIGHTNESS = 30.0
 _WIDEST_HUE = 20.0
 
 
-def wear_random_controls(fleet: Fleet, *, generator: torch.Generator) -> Fleet:
-    """Gives vehicles that are marked so random controls (section 5.4) of textures and of R-S-O."""
-    patterned = _rows(fleet, "coat", "patterned")
-    shaped = _rows(fleet, "shape", "random")
-    if patterned:
-        fleet = _paint(fleet, patterned, generator)
-    return _shape(fleet, shaped, generator) if shaped else fleet
+class RandomPatterns:
+    """Gives vehicles that are marked so random controls (section 5.4) of textures.
+
+    In every image they wear another one: a detector may learn a few hundred by heart. The names of
+    the vehicles shown together decide, so that the same images come back.
+    """
+
+    def __init__(self, fleet: Fleet) -> None:
+        self._marked = frozenset(_marked(fleet, "coat", "patterned"))
+
+    @torch.no_grad()
+    def __call__(self, vehicles: VehicleBatch) -> VehicleBatch:
+        rows = [row for row, name in enumerate(vehicles.ids) if name in self._marked]
+        generator = generator_of(0, "patterns", *vehicles.ids)
+        texture = vehicles.texture.clone() if rows else vehicles.texture
+        for row in rows:
+            pattern = _pattern(generator).to(texture.device)
+            (painted,) = pattern(vehicles.row(row)).worn_texture()
+            texture[row] = (painted.clamp(0, 1) * 255).round().byte()
+        return replace(vehicles, texture=texture)
 
 
-def _rows(fleet: Fleet, key: str, value: str) -> list[int]:
-    marks = (fleet.sources.get(name, {}).get(key) for name in fleet.ids)
-    return [row for row, mark in enumerate(marks) if mark == value]
-
-
-def _paint(fleet: Fleet, rows: list[int], generator: torch.Generator) -> Fleet:
-    textures = fleet.textures.clone()
-    for turn, row in enumerate(rows):
-        name = CamouflageName("texture", _TEXTURES[turn % len(_TEXTURES)], random=True)
-        blocks, colours = torch.rand(2, generator=generator).tolist()
-        settings = CamouflageSettings(
-            colours=2 + int(colours * (_MOST_COLOURS - 1)),
-            blocks=_BLOCKS[int(blocks * len(_BLOCKS))],
-        )
-        palette = _palette(settings.colours, generator)
-        pattern = make_camouflage(name, generator=generator, palette=palette, settings=settings)
-        with torch.no_grad():
-            (painted,) = pattern(fleet.batch([fleet.ids[row]])).worn_texture()
-        textures[row] = (painted.clamp(0, 1) * 255).round().byte()
-    return replace(fleet, textures=textures)
-
-
-def _shape(fleet: Fleet, rows: list[int], generator: torch.Generator) -> Fleet:
+def wear_random_shapes(fleet: Fleet, *, generator: torch.Generator) -> Fleet:
+    """Gives vehicles that are marked so random shapes (R-S-O)."""
     vertices = fleet.vertices.clone()
     low, high = _MAGNITUDES
-    for row in rows:
+    for name in _marked(fleet, "shape", "random"):
         magnitude = low + (high - low) * float(torch.rand((), generator=generator))
-        name = CamouflageName("shape", magnitude=magnitude, random=True)
-        shape = make_camouflage(name, generator=generator)
+        shape = make_camouflage(
+            CamouflageName("shape", magnitude=magnitude, random=True), generator=generator
+        )
         with torch.no_grad():
-            vertices[row] = shape(fleet.batch([fleet.ids[row]])).vertices[0]
+            vertices[fleet.ids.index(name)] = shape(fleet.batch([name])).vertices[0]
     return replace(fleet, vertices=vertices)
+
+
+def _marked(fleet: Fleet, key: str, value: str) -> list[str]:
+    return [name for name in fleet.ids if fleet.sources.get(name, {}).get(key) == value]
+
+
+def _pattern(generator: torch.Generator) -> Camouflage:
+    texture, blocks, colours = torch.rand(3, generator=generator).tolist()
+    name = CamouflageName("texture", _TEXTURES[int(texture * len(_TEXTURES))], random=True)
+    settings = CamouflageSettings(
+        colours=2 + int(colours * (_MOST_COLOURS - 1)), blocks=_BLOCKS[int(blocks * len(_BLOCKS))]
+    )
+    palette = _palette(settings.colours, generator)
+    return make_camouflage(name, generator=generator, palette=palette, settings=settings)
 
 
 def _palette(colours: int, generator: torch.Generator) -> Float[Tensor, "K 3"]:

@@ -62,6 +62,7 @@ class Render(Rendering):
     def run(self) -> None:
         """Renders the dataset."""
         from skyproof.camouflage.folder import load_camouflage
+        from skyproof.camouflage.random_controls import RandomPatterns
         from skyproof.cycles.renderer import open_renderer
         from skyproof.device import choose_device
         from skyproof.render.dataset import render_dataset
@@ -74,7 +75,8 @@ class Render(Rendering):
         with open_renderer(self, backgrounds, self.out) as renderer:
             fleet = Fleet.load(self.fleet)
             scenes = self._scenes(backgrounds, fleet)
-            camouflage = load_camouflage(self.camouflage).to(device) if self.camouflage else None
+            given = self.camouflage
+            camouflage = load_camouflage(given).to(device) if given else RandomPatterns(fleet)
             with progress_bar(f"render {self.out.name}") as update:
                 render_dataset(
                     self.out,

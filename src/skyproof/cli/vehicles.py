@@ -138,7 +138,7 @@ def draw_fleets(
     Train and validation have buses and lorries, too; attack and test have catalogue paints and own
     shapes.
     """
-    from skyproof.camouflage.random_controls import wear_random_controls
+    from skyproof.camouflage.random_controls import wear_random_shapes
     from skyproof.randomness import generator_of
     from skyproof.vehicles.fleet import TRAINING_WEIGHTS
 
@@ -155,7 +155,7 @@ def draw_fleets(
                 generator = generator_of(seed, "fleet", split)
                 fleet = sample(chosen, generator=generator, progress=update)
             controls = generator_of(seed, "controls", split)
-            wear_random_controls(fleet, generator=controls).save(folder / split)
+            wear_random_shapes(fleet, generator=controls).save(folder / split)
             first_number += count
     say(f"Fleets of {', '.join(map(str, counts))} vehicles: {out.resolve()}")
 

@@ -4,7 +4,9 @@ from pathlib import Path
 from typing import Any
 
 from skyproof.assessment.suite import read_suite, side_px
+from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.folder import load_camouflage
+from skyproof.camouflage.random_controls import RandomPatterns
 from skyproof.cli.render import sampled_scenes
 from skyproof.console import progress_bar, say
 from skyproof.cycles.renderer import open_renderer
@@ -76,7 +78,9 @@ def render_images(
                 empty_share=empty,
                 margin_m=TRAINING_MARGIN_M,
             )
-            worn = load_camouflage(layout.camouflages / name).to(device) if name in names else None
+            worn: Camouflage | RandomPatterns = RandomPatterns(fleet)
+            if name in names:
+                worn = load_camouflage(layout.camouflages / name).to(device)
             with progress_bar(f"render {name}") as update:
                 render_dataset(
                     out.dataset(name),

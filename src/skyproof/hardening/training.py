@@ -18,6 +18,7 @@ from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.make import make_camouflage
 from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.palette import ground_palette
+from skyproof.camouflage.random_controls import RandomPatterns
 from skyproof.datasets.dataset import Dataset
 from skyproof.datasets.pictures import made_ahead
 from skyproof.detectors.batches import jitter, training_batch
@@ -27,6 +28,7 @@ from skyproof.detectors.inference import device_of
 from skyproof.detectors.settings import TrainingSettings
 from skyproof.detectors.training import add_gradients, fit
 from skyproof.randomness import generator_of
+from skyproof.render.dataset import placed_vehicles
 from skyproof.render.frames import Frames
 from skyproof.scenes.scene import Scene
 from skyproof.scenes.settings import TRAINING_MARGIN_M
@@ -157,8 +159,10 @@ def _plain_batches(
         batches.append(training_batch(photographs, shown, seed % 2**62, step))
         count -= count // 2
     draw = generator_of(seed, "plain", step)
+    scenes = _draw(world, count, draw, empty=EMPTY_SHARE)
     with torch.no_grad():
-        frames = world.frames(None, _draw(world, count, draw, empty=EMPTY_SHARE))
+        vehicles = RandomPatterns(world.fleet)(placed_vehicles(world.fleet, scenes))
+        frames = world.renderer(scenes, vehicles)
     return [*batches, (jitter(frames.image, settings.jitter, generator=draw), _in_sight(frames))]
 
 

@@ -72,7 +72,7 @@ def render_dataset(
 
     Args:
         scenes: all of one image size, with vehicles of the fleet.
-        camouflage: change of the vehicles.
+        camouflage: change of the vehicles, recorded if it is a module.
         yolo: write the labels as YOLO text as well.
         progress: called with (images done, images in all).
 
@@ -80,7 +80,7 @@ def render_dataset(
         RunFolderError: the folder exists, or the disk cannot take it.
     """
     source = {"renderer": renderer.name, "rendering": renderer.record(scenes)}
-    if camouflage:
+    if isinstance(camouflage, nn.Module):
         source["camouflage"] = _worn(camouflage)
 
     @torch.no_grad()
@@ -108,11 +108,10 @@ def render_dataset(
             write_yolo(partial)
 
 
-def _worn(camouflage: Callable[[VehicleBatch], VehicleBatch]) -> str:
+def _worn(camouflage: nn.Module) -> str:
     """A digest that tells one camouflage from another."""
     name = str(getattr(camouflage, "name", type(camouflage).__name__))
-    numbers = tensors_digest(camouflage.state_dict()) if isinstance(camouflage, nn.Module) else ""
-    return hashlib.sha256(f"{name} {numbers}".encode()).hexdigest()
+    return hashlib.sha256(f"{name} {tensors_digest(camouflage.state_dict())}".encode()).hexdigest()
 
 
 @contextmanager

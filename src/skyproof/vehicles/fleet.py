@@ -44,8 +44,8 @@ class FleetSettings:
         weights: relative frequency of each body type; 0 if left out.
         first_number: number of the first vehicle, so that two fleets can have different ids.
         paints: shares with other paints than real vehicles.
-        shapes: share with a random shape. `skyproof.camouflage.random_controls` applies shapes and
-            patterns.
+        shapes: share with a random shape. `skyproof.camouflage.random_controls` applies shapes, and
+            patterns in every image anew.
     """
 
     count: VehicleCount = 60

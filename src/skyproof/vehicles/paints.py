@@ -15,8 +15,8 @@ from skyproof.vehicles.canvas import TextureCanvas, between
 from skyproof.vehicles.vehicle import Part
 
 Coat = Literal["catalogue", "plain", "two_tone", "livery", "patterned"]
-"""How a vehicle is painted: "catalogue" as real ones are; "patterned" in a random pattern that
-`skyproof.camouflage.random_controls` lays over a catalogue paint."""
+"""How a vehicle is painted: "catalogue" as real ones are; "patterned" with a catalogue paint, over
+which `skyproof.camouflage.random_controls` lays another pattern in every image."""
 
 _DARKEST, _LIGHTEST = 0.03, 0.97  # nothing paints blacker or whiter, sRGB
 # White cars in use are no whiter, or whole roofs would burn out where the sun stands high.

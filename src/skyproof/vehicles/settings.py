@@ -29,8 +29,8 @@ class PaintVariety:
             wheels, too.
         two_tone: share in two such colours, with another one on roof, upper or lower half.
         livery: share with such colours in stripes, bands, chequers and panels.
-        patterned: share with random patterns, drawn like the random controls of all textures; six
-            of eighteen lie on painted panels alone.
+        patterned: share in another random control of all textures in every image; six of eighteen
+            kinds lie on painted panels alone.
     """
 
     plain: Fraction = 0.15
