@@ -13,6 +13,7 @@ from skyproof.datasets.dataset import Dataset
 from skyproof.datasets.pictures import PictureInMemory, Window
 from skyproof.detectors.detector import Candidates, Detections, Detector, TrainableDetector
 from skyproof.detectors.inference import LARGEST_WHOLE_PX, covering_windows, detect_all
+from skyproof.detectors.ultralytics_detectors import upright
 from skyproof.imagery.frames import FramePicture
 
 
@@ -145,3 +146,29 @@ def test_windows_of_a_frame_are_parts_of_the_whole_resampled_frame(
         # Otherwise Pillow rounds the corners of the box to 24 bits, and then each of two passes.
         assert difference.max() <= 2
         assert (difference > 0).float().mean() < 0.02
+
+
+class Row(TrainableDetector):
+    """Finds a row of vehicles parked side by side at 45 degrees, as upright boxes around them."""
+
+    name = "row"
+
+    def __init__(self, length_m: float, width_m: float, pitch_m: float) -> None:
+        super().__init__()
+        angles = torch.full((5, 1), torch.pi / 4)
+        half = upright(torch.tensor([[length_m, width_m]]).expand(5, 2) / 2, angles)
+        steps = 10 + pitch_m * torch.arange(5.0)[:, None] * torch.tensor([[0.5**0.5, -(0.5**0.5)]])
+        middles = steps + torch.tensor([[0.0, 15.0]])
+        self.boxes = torch.cat([middles - half, middles + half], dim=1)[None] / 0.125
+
+    def candidates(self, images: torch.Tensor) -> Candidates:
+        scores = torch.linspace(0.9, 0.5, 5)[None]
+        return Candidates(self.boxes, scores, torch.ones_like(scores, dtype=torch.bool))
+
+
+@pytest.mark.parametrize(("length_m", "width_m", "pitch_m"), [(4.6, 1.9, 2.2), (12.0, 2.55, 3.2)])
+def test_suppression_of_upright_boxes_keeps_a_row_at_45_degrees(
+    length_m: float, width_m: float, pitch_m: float
+) -> None:
+    (found,) = Row(length_m, width_m, pitch_m).detect(torch.zeros(1, 3, 320, 320))
+    assert len(found.scores) == 5
