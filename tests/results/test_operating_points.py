@@ -41,6 +41,11 @@ def test_thresholds_lie_midway_between_the_last_alarm_and_the_next():
     assert hundred.false_alarms_per_km2 == pytest.approx(100)
     assert ten.threshold == pytest.approx((0.88 + 0.87) / 2)
     assert ten.false_alarms_per_km2 == pytest.approx(10)
+    # 30 alarms might be 19 to 41, of which 31 are known; 3 might be 0 to 6.
+    assert (hundred.lowest, hundred.highest) == (pytest.approx(0.60), pytest.approx(0.72))
+    assert (ten.lowest, ten.highest) == (pytest.approx(0.84), pytest.approx(0.90))
+    (said,) = alarms_in_words({"retinanet": [frozen, hundred, ten]})
+    assert "100 per km² are at 0.61 (0.60 to 0.72 by chance)." in said
 
 
 def test_equal_scores_count_together():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -21,9 +21,7 @@ if TYPE_CHECKING:
     from skyproof.vehicles.fleet import Fleet
 
 
-def usual_scenes() -> SceneSettings:
-    """The settings of sampled scenes: images of 192 px."""
-    return SceneSettings(size_px=192)
+_USUAL_SCENES = SceneSettings(size_px=192)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +51,7 @@ class Render(Rendering):
     out: Path
     split: Split = "test"
     count: Count = 120
-    settings: SceneSettings = field(default_factory=usual_scenes)
+    settings: SceneSettings = _USUAL_SCENES
     seed: Seed = 0
     camouflage: Path | None = None
     labels: Literal["coco", "yolo"] = "coco"
@@ -91,7 +89,7 @@ class Render(Rendering):
         say(f"Dataset: {self.out.resolve()}")
 
     def _refuse_sampling_beside_a_file(self) -> None:
-        usual = (("split", "test"), ("count", 120), ("settings", usual_scenes()), ("seed", 0))
+        usual = (("split", "test"), ("count", 120), ("settings", _USUAL_SCENES), ("seed", 0))
         given = [name for name, value in usual if getattr(self, name) != value]
         if self.scenes is not None and given:
             raise ConfigurationError(

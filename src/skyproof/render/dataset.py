@@ -81,7 +81,8 @@ def render_dataset(
     """
     source = {"renderer": renderer.name, "rendering": renderer.record(scenes)}
     if isinstance(camouflage, nn.Module):
-        source["camouflage"] = _worn(camouflage)
+        facts = (getattr(camouflage, "name", ""), tensors_digest(camouflage.state_dict()))
+        source["camouflage"] = hashlib.sha256("{} {}".format(*facts).encode()).hexdigest()
 
     @torch.no_grad()
     def draw(batch: Sequence[Scene]) -> tuple[Frames, Float[Tensor, "N 4 2"]]:
@@ -106,12 +107,6 @@ def render_dataset(
                     progress(done, len(scenes))
         if yolo:
             write_yolo(partial)
-
-
-def _worn(camouflage: nn.Module) -> str:
-    """A digest that tells one camouflage from another."""
-    name = str(getattr(camouflage, "name", type(camouflage).__name__))
-    return hashlib.sha256(f"{name} {tensors_digest(camouflage.state_dict())}".encode()).hexdigest()
 
 
 @contextmanager

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from skyproof.results.outcomes import OutcomeCounts
 from skyproof.results.result import FROZEN, MEAN, Result, summarise
@@ -19,13 +19,18 @@ _FEWEST = 3
 
 @dataclass(frozen=True)
 class OperatingPoint:
-    """A threshold with its false alarms per km² of empty ground; both nan if `why` says so."""
+    """A threshold with its false alarms per km² of empty ground; all nan if `why` says so.
+
+    By the chance of their number alone (Poisson, 95 %) it might lie between `lowest` and `highest`.
+    """
 
     detector: str
     name: str
     threshold: float
     false_alarms_per_km2: float
-    why: str = ""
+    lowest: float = math.nan
+    highest: float = math.nan
+    why: str = field(default="", kw_only=True)
 
 
 def points_of(ground: Baseline) -> list[OperatingPoint]:
@@ -54,10 +59,13 @@ def points_of(ground: Baseline) -> list[OperatingPoint]:
             why = f"are not reached, because all detections{lowest} make {every}"
         else:
             why = "" if count else "are not reached, because more share the highest score"
-        told = (math.nan, math.nan)
+        told = [math.nan, math.nan]
         if not why:
-            told = ((scores[count - 1] + scores[count]) / 2, count / ground.area_km2)
-        points.append(OperatingPoint(ground.detector, name, *told, why))
+            told = [(scores[count - 1] + scores[count]) / 2, count / ground.area_km2]
+            spread = 1.96 * math.sqrt(count)
+            ends = (round(count + spread), max(round(count - spread), 1) - 1)
+            told += [scores[min(end, len(scores) - 1)] for end in ends]
+        points.append(OperatingPoint(ground.detector, name, *told, why=why))
     return points
 
 
@@ -97,13 +105,12 @@ def alarms_in_words(points: Mapping[str, Sequence[OperatingPoint]]) -> list[str]
     """Says per detector at how many false alarms its thresholds stand."""
     sentences = []
     for detector, (frozen, *others) in ((name, own) for name, own in points.items() if own):
-        told = [
-            f"{EQUAL_ALARMS[one.name]} per km² {one.why or f'are at {one.threshold:.2f}'}."
-            for one in others
-        ]
+        told = ""
+        for one in others:
+            at = f"are at {one.threshold:.2f} ({one.lowest:.2f} to {one.highest:.2f} by chance)"
+            told += f" {EQUAL_ALARMS[one.name]} per km² {one.why or at}."
         sentences.append(
             f"The frozen threshold of {detector_name(detector)}, {frozen.threshold:.2f}, stands at "
-            f"{number(frozen.false_alarms_per_km2)} false alarms per km² of empty ground. "
-            + " ".join(told)
+            f"{number(frozen.false_alarms_per_km2)} false alarms per km² of empty ground.{told}"
         )
     return sentences
