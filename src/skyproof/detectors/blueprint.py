@@ -94,9 +94,8 @@ class Blueprint:
     The kind is "torchvision", with a name as architecture and classes "0", "1", ..., or
     "ultralytics", with the content of its YAML. Vehicle classes are positions. `image_scale` is
     network pixels per image pixel, `norm_eps` the epsilon of the backbone's batch norm, if
-    torchvision's published weights use another one than its layers. `side_px` is the side of the
-    images that the network was trained on, in its pixels, if the checkpoint tells. A network of
-    torchvision sees `normalised` colours, unless a program took that out; None if nothing tells.
+    torchvision's published weights use another one than its layers. If the checkpoint tells,
+    `side_px` is the side of training images, and `normalised` whether torchvision's colours count.
     """
 
     kind: str

@@ -73,8 +73,8 @@ def read_checkpoint(path: Path) -> Any:
         # Damage makes unpicklers raise any exception, and advise to run the file.
         raise StoredFileError(
             f"{path} is not a checkpoint that can be read: {_what_came(path)}; give a file with "
-            "weights, as torch.save or safetensors write it. sp.assess tests any other detector "
-            "through a Python function that gives its boxes; examples/recipes has such functions."
+            "weights, as torch.save or safetensors write it. Or export the detector to ONNX, which "
+            "skyproof assess tests as a black box, or give sp.assess a function (examples/recipes)."
         ) from error
 
 

@@ -261,8 +261,8 @@ def read_ultralytics(
     if origin not in (*_NETWORKS, *_ANCHOR_NETWORKS):
         raise StoredFileError(
             f"{path} holds {origin}, not a detection network of Ultralytics (YOLOv5, YOLOv8, "
-            "YOLO11 or later); give one trained to find boxes. sp.assess tests any other detector "
-            "through a Python function that gives its boxes; examples/recipes has such functions."
+            "YOLO11 or later). Export another one that finds boxes to ONNX, which skyproof assess "
+            "tests as a black box, or give sp.assess a function that finds them (examples/recipes)."
         )
     classes = _class_names(path, vars(network).get("names"))
     missing = [name for name in checkpoint.vehicle_classes if name not in classes]

@@ -62,6 +62,7 @@ class OnnxFile:
             if not 0.05 <= self._scale <= 20:
                 raise ValueError(f"{gsd_m:g} m per pixel is out of reason")
             self._turned = int(told.get("task") == "obb" or "_obb" in told.get("det_type", ""))
+            self._masked = told.get("task") == "segment"
             # This head of Ultralytics gives fractions of the image.
             self._in_fractions = told.get("head") == "RTDETRDecoder"
             trained_px = [int(px) for px in re.findall(r"\d{2,4}", told.get("imgsz", "640")[:100])]
@@ -132,7 +133,9 @@ class OnnxFile:
     def _layout(self, ends_only: bool) -> tuple[str, list[str], int]:
         """The kind of the outputs, those that count, and the number of classes, 0 if unknown."""
         outputs, height, width = self._run(torch.full((3, self._side_px, self._side_px), _GREY))
-        known, turned = len(self._names), self._turned
+        known, more = len(self._names), self._turned
+        # A network that segments gives each box as many numbers more as it has maps.
+        more += sum(each.shape[1] for each in outputs.values() if self._masked and each.ndim == 4)
         cells = [height // stride * (width // stride) for stride in (8, 16, 32, 64)]
         objects, queries, tables = list[Any](), list[Any](), list[Any]()
         for title, output in outputs.items():
@@ -148,12 +151,12 @@ class OnnxFile:
             if shape[-1:] == (4,) and len(lists) == 2:
                 objects.append(("objects", [title, *lists], known))
             high, wide = shape[1:] if output.ndim == 3 and shape[0] == 1 else (0, 0)
-            ends = wide == 6 + turned
+            ends = wide == 6 + more
             # YOLOv5 has three anchors in each cell.
             anchors = high in (3 * sum(cells[:3]), 3 * sum(cells)) and not ends_only
-            rows = not turned and (wide == 5 + known if known else anchors and wide > 5)
-            if high == 4 + known + turned if known else 4 + turned < high < wide:
-                tables.append(("columns", [title], high - 4 - turned))
+            rows = not more and (wide == 5 + known if known else anchors and wide > 5)
+            if high == 4 + known + more if known else 4 + more < high < wide:
+                tables.append(("columns", [title], high - 4 - more))
             if rows and (anchors or not ends):
                 tables.append(("rows", [title], wide - 5))
             elif ends:
