@@ -185,6 +185,8 @@ def test_a_detector_of_vehicles_alone_has_no_other_classes() -> None:
         "yolo26n.yaml",
         "yolov8n-obb.yaml",
         "yolo26n-obb.yaml",
+        "yolov8n-seg.yaml",
+        "yolo26n-seg.yaml",
     ],
 )
 def test_candidates_are_those_of_ultralytics(file: str) -> None:
@@ -194,6 +196,8 @@ def test_candidates_are_those_of_ultralytics(file: str) -> None:
 
     with torch.no_grad():
         decoded = ours.network.model(IMAGES)[0]
+    if "seg" in file:
+        decoded, _masks = decoded
     found = ours.candidates(IMAGES)
     torch.testing.assert_close(found.scores, decoded[:, 4 + 1])
     boxes = decoded[:, :4].permute(0, 2, 1)
@@ -406,7 +410,10 @@ def test_regions_learn_the_likeliest_vehicle_class() -> None:
 
 
 @needs_yolo
-@pytest.mark.parametrize("file", ["yolov8n.yaml", "yolo26n.yaml", "yolov10n.yaml"])
+@pytest.mark.parametrize(
+    "file",
+    ["yolov8n.yaml", "yolo26n.yaml", "yolov10n.yaml", "yolov8n-seg.yaml", "yolo26n-seg.yaml"],
+)
 def test_loss_with_vehicles_is_ultralytics_own(file: str) -> None:
     plan = yolo_plan(file, [0])
     assert isinstance(plan.architecture, dict)
@@ -578,7 +585,7 @@ def edited(change: Callable[[dict[str, Any]], None]) -> dict[str, Any]:
         ),
         (lambda layers: layers.update(activation="__import__('os').system('true')"), "activation"),
         (lambda layers: layers.update(activation="nn.SiLU() or print(1)"), "activation"),
-        (lambda layers: layers.update(head=[[[0], 1, "Segment", ["nc"]]]), "Segment"),
+        (lambda layers: layers.update(head=[[[0], 1, "Pose", ["nc"]]]), "Pose"),
         (lambda layers: layers.update(channels=4), "4 channels"),
         (lambda layers: layers.pop("head"), "backbone and head"),
     ],

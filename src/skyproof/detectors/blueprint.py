@@ -30,8 +30,9 @@ ARCHITECTURES = (
     "retinanet_resnet50_fpn_v2",
     *_BY_BACKBONE,
 )
-# The heads of Ultralytics that skyproof can read, and whether their boxes are turned.
-HEADS = {"Detect": False, "OBB": True, "OBB26": True, "v10Detect": False}
+# The heads of Ultralytics that skyproof can read, without masks, and those whose boxes are turned.
+TURNED = ("OBB", "OBB26")
+HEADS = ("Detect", "v10Detect", "Segment", "Segment26", *TURNED)
 # Ultralytics looks a layer's name up among all it imports, functions that open files included, and
 # evaluates the text of an activation: only names of plain layers pass.
 _LAYER_NAMES = """
@@ -134,7 +135,7 @@ class Blueprint:
     def trainable(self) -> bool:
         """Whether the network's loss here knows vehicles; not with turned boxes or anchors."""
         plan = self.architecture
-        return isinstance(plan, str) or not ("anchors" in plan or HEADS[plan["head"][-1][2]])
+        return isinstance(plan, str) or not ("anchors" in plan or plan["head"][-1][2] in TURNED)
 
 
 def check_layers(architecture: Any) -> None:

@@ -28,7 +28,7 @@ _WITHOUT_EPS = {
     "fasterrcnn_resnet50_fpn": detection.FasterRCNN_ResNet50_FPN_Weights.COCO_V1,
 }
 
-_NETWORKS = ("ultralytics.nn.tasks.DetectionModel", "ultralytics.nn.tasks.OBBModel")
+_NETWORKS = [f"ultralytics.nn.tasks.{kind}Model" for kind in ("Detection", "OBB", "Segmentation")]
 # Modules of the repository of 2020, as a checkout and as a package.
 _ANCHOR_NETWORKS = tuple(
     f"{package}models.yolo.{name}"
@@ -158,9 +158,11 @@ def read_blueprint(
     digest = file_digest(checkpoint.path)
     tensors = len(state)
     architecture, classes, vehicles, eps = read(checkpoint, network, state, digest)
-    # torchgeo took the normalising out in its release 0.8, and its files do not tell their release.
-    known = None if _made_by_torchgeo(content) else True
-    rest = (checkpoint.path.name, digest, _side_px(content), known)
+    side_px = _noted(content, "train_args").get("imgsz")
+    known = type(side_px) is int and 32 <= side_px <= 4096
+    # torchgeo took normalising out in its release 0.8, and does not note its release.
+    of_torchgeo = {"backbone", "freeze_backbone"} <= _noted(content, "hyper_parameters").keys()
+    rest = (checkpoint.path.name, digest, side_px if known else None, None if of_torchgeo else True)
     plan = Blueprint(checkpoint.kind, architecture, classes, vehicles, scale, eps, *rest)
     origin = f"{checkpoint.kind} checkpoint {checkpoint.path.name}"
     taken, *others = [repr(place[:100]) for place in places] or [""]
@@ -172,16 +174,9 @@ def read_blueprint(
     return plan, state, origin
 
 
-def _side_px(content: Any) -> int | None:
-    """The side of the images that Ultralytics trained on, in pixels, if the file tells."""
-    settings = content.get("train_args") if isinstance(content, Mapping) else None
-    side = settings.get("imgsz") if isinstance(settings, Mapping) else None
-    return side if type(side) is int and 32 <= side <= 4096 else None
-
-
-def _made_by_torchgeo(content: Any) -> bool:
-    settings = content.get("hyper_parameters") if isinstance(content, Mapping) else None
-    return isinstance(settings, Mapping) and {"backbone", "freeze_backbone"} <= settings.keys()
+def _noted(content: Any, name: str) -> Mapping[str, Any]:
+    noted = content.get(name) if isinstance(content, Mapping) else None
+    return noted if isinstance(noted, Mapping) else {}
 
 
 def _sees_normalised(detector: ImportedDetector, validation: Dataset) -> bool:

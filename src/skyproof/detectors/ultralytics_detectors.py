@@ -24,7 +24,7 @@ from PIL import Image
 from torch import Tensor
 from torch.nn import functional
 
-from skyproof.detectors.blueprint import HEADS, check_layers
+from skyproof.detectors.blueprint import TURNED, check_layers
 from skyproof.detectors.cost import SIDE_PX, measured
 from skyproof.detectors.detector import (
     Boxes,
@@ -191,7 +191,7 @@ def build_model(architecture: Mapping[str, Any]) -> Any:
         from ultralytics.nn.modules.conv import Conv
         from ultralytics.nn.tasks import DetectionModel, OBBModel
 
-        kind = OBBModel if HEADS[architecture["head"][-1][2]] else DetectionModel
+        kind = OBBModel if architecture["head"][-1][2] in TURNED else DetectionModel
         # The library would use an architecture's activation for all later networks.
         usual = Conv.default_act
         try:
