@@ -96,7 +96,8 @@ class Blueprint:
     "ultralytics", with the content of its YAML. Vehicle classes are positions. `image_scale` is
     network pixels per image pixel, `norm_eps` the epsilon of the backbone's batch norm, if
     torchvision's published weights use another one than its layers. If the checkpoint tells,
-    `side_px` is the side of training images, and `normalised` whether torchvision's colours count.
+    `side_px` is the side of the images of its training, in its pixels, and `normalised` whether
+    colours are normalised as torchvision does.
     """
 
     kind: str
