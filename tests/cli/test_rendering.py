@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -296,3 +297,23 @@ def test_a_score_stopped_while_judging_draws_nothing_again(
     answer = skyproof(*call)
     assert answer.code == 0, answer.err
     assert {path.name for path in tmp_path.iterdir()} == {"original", "scores"}
+
+
+def test_vehicles_marked_so_wear_patterns(
+    finished: Path, tmp_path: Path, skyproof: Skyproof
+) -> None:
+    fleet = tmp_path / "fleet"
+    shutil.copytree(finished / "fleets/test", fleet)
+    stored = json.loads((fleet / "fleet.json").read_text())
+    stored["sources"] = {name: {"coat": "patterned"} for name in stored["ids"]}
+    (fleet / "fleet.json").write_text(json.dumps(stored))
+    drawn = {}
+    for name, vehicles in (("own", finished / "fleets/test"), ("worn", fleet), ("again", fleet)):
+        ground = ["--backgrounds", finished / "backgrounds", "--fleet", vehicles, *CPU]
+        call = ["render", "--scenes", finished / "scenes/test.jsonl", *ground]
+        assert skyproof(*call, "--out", tmp_path / name).code == 0
+        drawn[name] = bytes_of(tmp_path / name)
+    changed = {path for path in drawn["own"] if drawn["own"][path] != drawn["worn"][path]}
+    assert changed
+    assert all(path.startswith("images/") for path in changed)
+    assert drawn["again"] == drawn["worn"]

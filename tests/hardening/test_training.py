@@ -120,6 +120,21 @@ def test_photographs_are_a_quarter_of_the_images(rendered: RenderedWorld) -> Non
         assert all(len(shown) == len(boxes) for shown, boxes in batches)
 
 
+def test_vehicles_marked_so_wear_patterns_on_plain_images(
+    rendered: RenderedWorld, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(hardening, "EMPTY_SHARE", 0.0)
+    shown = []
+    for marks in ({}, {"coat": "patterned"}):
+        world = world_of(rendered)
+        sources = dict.fromkeys(world.fleet.ids, marks)
+        world = dataclasses.replace(world, fleet=dataclasses.replace(world.fleet, sources=sources))
+        ((images, boxes),) = hardening._plain_batches(world, None, SETTINGS, 3, 0)
+        assert sum(map(len, boxes)) > 1
+        shown.append(images)
+    assert float((shown[0] - shown[1]).abs().max()) > 0.1
+
+
 def test_camouflages_climb_the_loss_that_the_detector_descends(
     rendered: RenderedWorld, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
