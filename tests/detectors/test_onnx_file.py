@@ -525,7 +525,7 @@ def exported(folder: Path, file: str, **settings: Any) -> tuple[Any, Path]:
         pytest.param("yolo26n.yaml", {"nms": False}, marks=pytest.mark.slow),
         pytest.param("yolov8n-obb.yaml", {}, marks=pytest.mark.slow),
         pytest.param("yolo11n-seg.yaml", {}, marks=pytest.mark.slow),
-        ("yolo26n-seg.yaml", {}),
+        pytest.param("yolo26n-seg.yaml", {}, marks=pytest.mark.slow),
         ("yolo26n-obb.yaml", {"nms": False}),
     ],
 )
