@@ -552,7 +552,8 @@ def test_an_export_of_ultralytics_finds_what_ultralytics_finds(
     other = (answer["scores"][ours, None] - scores).abs()
     same = (away < 0.5) & (other < 1e-3)
     assert len(same) > 5
-    # Ultralytics leaves out boxes whose mask is empty.
-    assert float(same.any(1).float().mean()) == 1.0 or ("seg" in file and same.any(1).sum() > 20)
+    # Ultralytics leaves out boxes whose mask is empty, and only this network has some.
+    if file != "yolo26n-seg.yaml":
+        assert bool(same.any(1).all())
     if "obb" not in file:
         assert bool(same.any(0).all())

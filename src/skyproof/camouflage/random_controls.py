@@ -37,8 +37,8 @@ _WIDEST_HUE = 20.0
 class RandomPatterns:
     """Gives vehicles that are marked so random controls (section 5.4) of textures.
 
-    In every image they wear another one: a detector may learn a few hundred by heart. The names of
-    the vehicles shown together decide, so that the same images come back.
+    Every image shows new ones, because a detector may learn a few hundred by heart. The ids of the
+    vehicles shown together seed the draws, so that the same images come back.
     """
 
     def __init__(self, fleet: Fleet) -> None:

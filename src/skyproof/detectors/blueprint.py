@@ -96,8 +96,8 @@ class Blueprint:
     "ultralytics", with the content of its YAML. Vehicle classes are positions. `image_scale` is
     network pixels per image pixel, `norm_eps` the epsilon of the backbone's batch norm, if
     torchvision's published weights use another one than its layers. If the checkpoint tells,
-    `side_px` is the side of the images of its training, in its pixels, and `normalised` whether
-    colours are normalised as torchvision does.
+    `side_px` is the side of its training images in network pixels, and `normalised` says whether it
+    sees colours normalised as by torchvision.
     """
 
     kind: str

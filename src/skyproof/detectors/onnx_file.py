@@ -134,7 +134,7 @@ class OnnxFile:
         """The kind of the outputs, those that count, and the number of classes, 0 if unknown."""
         outputs, height, width = self._run(torch.full((3, self._side_px, self._side_px), _GREY))
         known, more = len(self._names), self._turned
-        # A network that segments gives each box as many numbers more as it has maps.
+        # With masks, each box has as many further numbers as there are maps to mix.
         more += sum(each.shape[1] for each in outputs.values() if self._masked and each.ndim == 4)
         cells = [height // stride * (width // stride) for stride in (8, 16, 32, 64)]
         objects, queries, tables = list[Any](), list[Any](), list[Any]()

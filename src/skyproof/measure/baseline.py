@@ -68,6 +68,7 @@ def _measure(detector: Detector, images: BaselineSet, view: SceneView, seed: int
     area_m2 = images.images.area_m2
     # Photographs have a border without labels, which is no empty ground.
     empty = not images.real and not any(map(len, images.images.boxes))
+    # Twice as many as needed show how far chance may move a threshold.
     kept = int(2 * max(EQUAL_ALARMS.values()) * area_m2 / 1e6) + 2 if empty else 0
     return Baseline(
         detector=detector.name,

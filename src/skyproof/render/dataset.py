@@ -81,8 +81,8 @@ def render_dataset(
     """
     source = {"renderer": renderer.name, "rendering": renderer.record(scenes)}
     if isinstance(camouflage, nn.Module):
-        facts = (getattr(camouflage, "name", ""), tensors_digest(camouflage.state_dict()))
-        source["camouflage"] = hashlib.sha256("{} {}".format(*facts).encode()).hexdigest()
+        worn = f"{getattr(camouflage, 'name', '')} {tensors_digest(camouflage.state_dict())}"
+        source["camouflage"] = hashlib.sha256(worn.encode()).hexdigest()
 
     @torch.no_grad()
     def draw(batch: Sequence[Scene]) -> tuple[Frames, Float[Tensor, "N 4 2"]]:
