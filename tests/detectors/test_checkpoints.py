@@ -15,14 +15,13 @@ import torch
 from safetensors.torch import save_file
 from torch import nn
 
-from skyproof.detectors.checkpoints import (
-    StandIn,
-    network_of,
-    networks_in,
-    read_checkpoint,
-    state_of,
-)
+from skyproof.detectors.checkpoints import StandIn, networks_in, read_checkpoint, state_of
 from skyproof.errors import StoredFileError
+
+
+def network_of(content: Any) -> Any:
+    """The first network in what a checkpoint holds, or that itself."""
+    return next(iter(networks_in(content).values()), content)
 
 
 class Network(nn.Module):

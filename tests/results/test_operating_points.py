@@ -4,6 +4,7 @@ import dataclasses
 import json
 import math
 
+import numpy as np
 import pytest
 
 from skyproof.report.report import write_report
@@ -18,7 +19,8 @@ from skyproof.results.score_folder import (
     SetScore,
     write_record,
 )
-from skyproof.results.statistics.intervals import Interval
+from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
+from skyproof.results.statistics.intervals import Interval, Sample
 from tests.results.test_worst import outcome
 
 NOTHING = Interval(math.nan, math.nan, math.nan)
@@ -147,6 +149,58 @@ def test_rates_at_equal_alarms_do_not_depend_on_the_scale_of_scores(tmp_path):
         results, "retinanet", "100_per_km2"
     )
     assert results.at(frozen["retinanet"], "10_per_km2") is None
+
+
+def test_intervals_cover_the_thresholds_that_chance_might_have_set(tmp_path):
+    results = scored(tmp_path, {"retinanet": 1.0, "faster_rcnn": 0.6})
+    frozen = next(row for row in results.rows if str(row.camouflage) == "T-U")
+    row = rates(results, "retinanet", "100_per_km2")
+    assert (frozen.detector, frozen.easr.estimate) == ("retinanet", row.easr.estimate)
+    # 4 alarms might be 0 to 8: from a threshold of 0.99, which finds nothing, to the last of 0.2,
+    # at which T-U hides three of five.
+    assert [row.easr.high, row.easr.errors["thresholds"]] == pytest.approx(
+        [frozen.easr.high, (2 / 3 - 3 / 5) / 2 / 1.96], rel=1e-4
+    )
+    below = [one.easr.estimate - one.easr.low for one in (row, frozen)]
+    assert below[0] == pytest.approx(math.hypot(below[1], 2 / 3 - 3 / 5))
+    assert row.json()["easr_threshold_se"] == row.easr.errors["thresholds"]
+    assert frozen.json()["easr_threshold_se"] is None
+    # There the plain paint hides one of five, and none at the frozen threshold.
+    below = [one.estimate - one.low for one in (row.strongest.net, frozen.strongest.net)]
+    assert below[0] == pytest.approx(math.hypot(below[1], 2 / 3 - (3 / 5 - 1 / 5)))
+
+
+def test_nineteen_of_twenty_intervals_hold_the_rate_at_the_true_threshold():
+    generator = np.random.default_rng(0)
+    tiles = [(f"tile {n}", f"vehicle {n}") for n in range(200)]
+    held = {"with": 0, "difference": 0, "without": 0}
+    runs = 200
+    for _ in range(runs):
+        # 1,000 alarms per km² above a score of 0, uniformly: 100 above 0.9.
+        alarms = np.sort(generator.random(generator.poisson(350)))[::-1][:72]
+        point = points_of(ground(0.35, alarms.tolist()))[1]
+        # Half of the vehicles with T-U score below 0.9, a quarter of those with a control.
+        scores = generator.uniform([0.7, 0.8], [1.1, 1.2], size=(200, 2)).T
+        thresholds = (point.threshold, point.lowest, point.highest)
+        counts = [
+            np.stack([scores >= at, scores < at, np.zeros((2, 200), bool)], axis=-1).astype(int)
+            for at in thresholds
+        ]
+        sample = Sample.draw(tiles, generator=generator, replicates=100)
+        sure = [Group(counts[0][[each]], sample) for each in (0, 1)]
+        moved = [
+            dataclasses.replace(group, ends=[end[[each]] for end in counts[1:]])
+            for each, group in enumerate(sure)
+        ]
+        for name, truth, interval in (
+            ("with", 0.5, mean_interval(moved[0])),
+            ("difference", 0.25, difference_interval(moved[:1], moved[1:])),
+            ("without", 0.5, mean_interval(sure[0])),
+        ):
+            held[name] += interval.low <= truth <= interval.high
+    assert held["with"] >= 0.93 * runs
+    assert held["difference"] >= 0.93 * runs
+    assert held["without"] < 0.85 * runs
 
 
 def test_a_lower_threshold_finds_more(tmp_path):

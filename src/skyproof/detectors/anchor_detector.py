@@ -84,14 +84,10 @@ class AnchorHead(nn.Module):
         every = torch.cat(found, dim=1)
         return every[..., :4], every[..., 4].contiguous(), every[..., 5:]
 
-    def anchors_of(self, level: int) -> Float[Tensor, "A 2"]:
-        """A level's anchors in units of its cells."""
-        return self.anchors_px[level] / self.strides_px[level]
-
     def centred(self, raw: Tensor, level: int) -> tuple[Tensor, Tensor]:
         """Centres relative to the cell's corner, and sizes, both in cells."""
         centres = raw[..., :2].sigmoid() * 2 - 0.5
-        anchors = self.anchors_of(level)[:, None, None]
+        anchors = (self.anchors_px[level] / self.strides_px[level])[:, None, None]
         return centres, (raw[..., 2:4].sigmoid() * 2) ** 2 * anchors
 
 

@@ -78,11 +78,6 @@ def read_checkpoint(path: Path) -> Any:
         ) from error
 
 
-def network_of(content: Any) -> Any:
-    """Finds the state dict or stored network in the result of `read_checkpoint`, or gives that."""
-    return next(iter(networks_in(content).values()), content)
-
-
 def networks_in(content: Any) -> dict[str, Any]:
     """Finds the largest state dicts or stored networks, averaged ones first, by their places.
 

@@ -12,7 +12,6 @@ from torch import Tensor
 
 from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
 from skyproof.scenes.scene import Scene
-from skyproof.scenes.weather import Weather
 
 AIRLIGHT = (0.42, 0.47, 0.54)
 """Linear light of haze seen from above, before black ground: grey with a little blue."""
@@ -51,7 +50,8 @@ def finish_images(
 
     Differentiable; the gradient of a pixel that exposure or noise clips is zero.
     """
-    if not any(_finishes(scene.weather) for scene in scenes):
+    weather = [scene.weather for scene in scenes]
+    if not any(w.haze or w.exposure_stops or w.noise or w.jpeg_quality for w in weather):
         return images
     return torch.stack([_finish(*each) for each in zip(images, scenes, strict=True)])
 
@@ -74,11 +74,6 @@ class _Jpeg(torch.autograd.Function):
     @staticmethod
     def backward(context: Any, *gradients: Tensor) -> tuple[Tensor, None]:
         return gradients[0], None
-
-
-def _finishes(weather: Weather) -> bool:
-    """Whether anything is left to do once the vehicles are in the picture."""
-    return bool(weather.haze or weather.exposure_stops or weather.noise or weather.jpeg_quality)
 
 
 def _finish(image: Float[Tensor, "3 H W"], scene: Scene) -> Float[Tensor, "3 H W"]:

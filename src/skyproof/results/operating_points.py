@@ -4,10 +4,8 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from skyproof.results.outcomes import OutcomeCounts
 from skyproof.results.result import FROZEN, MEAN, Result, summarise
-from skyproof.results.score_folder import Baseline, ScoreFolder, SetScore, merge_scores
-from skyproof.seeds import numpy_generator
+from skyproof.results.score_folder import Baseline, ScoreFolder, merge_scores
 from skyproof.words import detector_name, number
 
 EQUAL_ALARMS = {"100_per_km2": 100, "10_per_km2": 10}
@@ -69,22 +67,13 @@ def points_of(ground: Baseline) -> list[OperatingPoint]:
     return points
 
 
-def table(counts: OutcomeCounts, sets: Sequence[SetScore], seed: int) -> list[Result]:
-    """Summarises renderer by renderer, so that none changes the numbers of another one."""
-    rows: list[Result] = []
-    for renderer in dict.fromkeys(key.renderer for key in counts.series):
-        series = {key: each for key, each in counts.series.items() if key.renderer == renderer}
-        own = OutcomeCounts(counts.cells, series)
-        rows += summarise(own, sets, generator=numpy_generator(seed))
-    return rows
-
-
 def equal_alarm_rows(
     scores: Sequence[ScoreFolder], points: Mapping[str, Sequence[OperatingPoint]], seed: int
 ) -> list[Result]:
     """Gives the table at each operating point, without the detectors that do not reach it.
 
-    `points` are by scoring detector. The mean is given where all of them do.
+    `points` are by scoring detector. The mean is given where all of them do. Intervals cover the
+    chance in the number of false alarms: all thresholds move down together, or up.
     """
     rows: list[Result] = []
     for name in EQUAL_ALARMS:
@@ -92,10 +81,14 @@ def equal_alarm_rows(
             one for own in points.values() for one in own if one.name == name and not one.why
         ]
         if reached:
-            merged = merge_scores(scores, {one.detector: one.threshold for one in reached})
+            (counts, sets), *ends = (
+                merge_scores(scores, {one.detector: getattr(one, which) for one in reached})
+                for which in ("threshold", "lowest", "highest")
+            )
+            counts = replace(counts, ends=[end.series for end, _ in ends])
             rows += [
                 replace(row, operating_point=name)
-                for row in table(*merged, seed)
+                for row in summarise(counts, sets, seed=seed)
                 if row.detector != MEAN or len(reached) == len(points)
             ]
     return rows

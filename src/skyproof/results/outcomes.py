@@ -200,10 +200,14 @@ class Series(NamedTuple):
 
 @dataclass(frozen=True)
 class OutcomeCounts:
-    """Outcomes counted per series and cell: vehicles in sight, detected in both, lost, gained."""
+    """Outcomes counted per series and cell: vehicles in sight, detected in both, lost, gained.
+
+    `ends` are the series at the other thresholds that chance might have set.
+    """
 
     cells: tuple[Cell, ...]
     series: Mapping[Series, Int[np.ndarray, "N 4"]]
+    ends: Sequence[Mapping[Series, Int[np.ndarray, "N 4"]]] = ()
 
     @property
     def tiles(self) -> int:
@@ -217,22 +221,23 @@ class OutcomeCounts:
 
         If they are `given`, the rates are of these camouflages and of no other draw or seed.
         """
-        counts = np.stack([self.series[key][:, 1:] for key in keys])
+        counts, *ends = (
+            np.stack([series[key][:, 1:] for key in keys]) for series in (self.series, *self.ends)
+        )
         repeats = [repeat_of(key.camouflage) for key in keys]
         if given:
             repeats = [replace(each, kind=GIVEN) for each in repeats]
-        return Group(counts, sample, [[each] for each in repeats], of)
+        return Group(counts, sample, [[each] for each in repeats], of, ends)
 
     def of(self, renderer: str, match: str) -> "OutcomeCounts":
         """Gives the series of one renderer and match rule, on the cells that they show."""
-        series = {
-            key: counts
-            for key, counts in self.series.items()
-            if (key.renderer, key.match) == (renderer, match)
-        }
-        shown = np.any([counts[:, 0] > 0 for counts in series.values()], axis=0)
+        keys = [key for key in self.series if (key.renderer, key.match) == (renderer, match)]
+        shown = np.any([self.series[key][:, 0] > 0 for key in keys], axis=0)
         cells = tuple(itertools.compress(self.cells, shown))
-        return replace(self, cells=cells, series={key: own[shown] for key, own in series.items()})
+        series, *ends = (
+            {key: own[key][shown] for key in keys} for own in (self.series, *self.ends)
+        )
+        return OutcomeCounts(cells, series, ends)
 
 
 def repeat_of(camouflage: str) -> Repeat:

@@ -22,7 +22,7 @@ from skyproof.errors import StoredFileError
 from skyproof.files import new_file, write_json
 from skyproof.ranges import Count, Fraction, Name, Seed, WholeNumber
 from skyproof.results.likeness import Likeness, sure
-from skyproof.results.result import by_main_rule
+from skyproof.results.result import MAIN_MATCH
 from skyproof.results.rows_file import flat_row, row_form, row_of
 from skyproof.results.score_folder import Baseline
 from skyproof.results.statistics.intervals import Interval
@@ -164,7 +164,7 @@ class PrecheckRecord:
     @property
     def likeness_by_main_rule(self) -> Likeness | None:
         """The comparison that decides; None where it was not measured."""
-        return by_main_rule(self.likeness)
+        return next((row for row in self.likeness if row.match == MAIN_MATCH), None)
 
     def was_made_on(self, scenes: Sequence[Scene]) -> bool:
         """Whether these scenes begin with those of the precheck."""

@@ -2,7 +2,7 @@
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,7 +11,6 @@ from jaxtyping import Float
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.ranges import Match
-from skyproof.results.likeness import Likeness
 from skyproof.results.outcomes import MATCHES, ORIGINAL, OutcomeCounts, Series
 from skyproof.results.rows_file import interval_columns, nulls_for_undefined
 from skyproof.results.score_folder import SetScore
@@ -31,17 +30,13 @@ from skyproof.results.statistics.intervals import (
     enhancement_rate,
     overall_attack_success_rate,
 )
+from skyproof.seeds import numpy_generator
 
 MEAN = "mean"
 FROZEN = "frozen"
 """The operating point of the frozen threshold, which decides every verdict."""
 MAIN_MATCH: Match = "centre_1m"
 LENIENT_MATCH: Match = "centre_in_box"
-
-
-def by_main_rule(rows: Iterable[Likeness]) -> Likeness | None:
-    """Returns the comparison by the main match rule, which decides; None without one."""
-    return next((row for row in rows if row.match == MAIN_MATCH), None)
 
 
 @dataclass(frozen=True)
@@ -122,8 +117,8 @@ class Result:
         """Gives flat JSON values, as `results.json` holds them; undefined ones are None.
 
         The standard errors by source of variation (`easr_tile_se`, `easr_vehicle_se`,
-        `easr_repeat_se`, and `random_draw_se` of the net EASR) are None where the interval leaves
-        that source out.
+        `easr_repeat_se`, `easr_threshold_se`, and `random_draw_se` of the net EASR) are None where
+        the interval leaves that source out.
         """
         errors = self.easr.errors
         random = self.random or _NOTHING
@@ -143,6 +138,7 @@ class Result:
                 "easr_tile_se": errors.get("tiles"),
                 "easr_vehicle_se": errors.get("vehicles"),
                 "easr_repeat_se": errors.get("draws" if self.camouflage.random else "seeds"),
+                "easr_threshold_se": errors.get("thresholds"),
                 "random_draws": random.draws,
                 "random_draw_se": random.net.errors.get("draws"),
                 "strongest_control": str(strongest.control) if self.strongest else None,
@@ -171,15 +167,14 @@ def _columns(contrast: Contrast, easr: str, net: str, p: str) -> dict[str, Any]:
     }
 
 
-def summarise(
-    counts: OutcomeCounts, sets: Sequence[SetScore], *, generator: np.random.Generator
-) -> list[Result]:
-    """Makes the results of a run from its counted outcomes.
+def summarise(counts: OutcomeCounts, sets: Sequence[SetScore], *, seed: int) -> list[Result]:
+    """Makes the results of a run from its counted outcomes, each renderer's by itself.
 
     Repeats of one camouflage ("T-U-0", "T-U-1": seeds of an attack, draws of a control) share one
     result: the mean over repeats, and over detectors in result "mean" (unweighted; undefined where
     one detector found no vehicle before). All rates are on the same tiles and vehicles. The
-    intervals cover which of these were drawn and, where there are several, which seeds and draws.
+    intervals cover which of these were drawn and, where there are several, which seeds, draws and
+    thresholds. The `seed` is that of the resampling.
 
     Both tests give the largest p of the repeats, and 1 where these point both ways, so a claim
     holds for each of them. Holm's correction runs over the camouflages of one detector and match
@@ -187,8 +182,10 @@ def summarise(
     """
     rows: list[Result] = []
     scores = {Series(s.camouflage, s.renderer, s.detector, s.match): s for s in sets}
-    for match in MATCHES:
-        for renderer in dict.fromkeys(key.renderer for key in counts.series if key.match == match):
+    known = {(key.renderer, key.match) for key in counts.series}
+    for renderer in dict.fromkeys(key.renderer for key in counts.series):
+        generator = numpy_generator(seed)
+        for match in (each for each in MATCHES if (renderer, each) in known):
             here = counts.of(renderer, match)
             rows += _Table(here, scores, Sample.draw(here.cells, generator=generator)).rows()
     return _corrected(rows)
@@ -196,9 +193,9 @@ def summarise(
 
 def _corrected(rows: list[Result]) -> list[Result]:
     """Adds Holm's correction, which needs all p-values of a family."""
-    families: dict[tuple[str, str], list[int]] = defaultdict(list)
+    families: dict[tuple[str, str, str], list[int]] = defaultdict(list)
     for index, row in enumerate(rows):
-        families[row.match, row.detector].append(index)
+        families[row.renderer, row.match, row.detector].append(index)
     for family in families.values():
         for field in ("random", "strongest", "drawn_shape"):
             found = {index: getattr(rows[index], field) for index in family}

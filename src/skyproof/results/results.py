@@ -15,11 +15,11 @@ from skyproof.detectors.card import DetectorCard
 from skyproof.files import inside, write_json
 from skyproof.layout import Layout
 from skyproof.results.likeness import Likeness
-from skyproof.results.operating_points import OperatingPoint, equal_alarm_rows, points_of, table
+from skyproof.results.operating_points import OperatingPoint, equal_alarm_rows, points_of
 from skyproof.results.outcomes import Outcome, OutcomeCounts, Series, read_outcomes
 from skyproof.results.paints import beside_paints
 from skyproof.results.precheck import PrecheckRecord, read_prechecks
-from skyproof.results.result import FROZEN, LENIENT_MATCH, MAIN_MATCH, MEAN, Result, by_main_rule
+from skyproof.results.result import FROZEN, LENIENT_MATCH, MAIN_MATCH, MEAN, Result, summarise
 from skyproof.results.rows_file import flat_row
 from skyproof.results.score_folder import Baseline, Pair, ScoreFolder, merge_scores
 from skyproof.results.statistics.contrasts import Group, difference_interval, mean_interval
@@ -97,7 +97,7 @@ class Results:
         results = cls(
             folder=folder,
             scores=scores,
-            rows=table(counts, sets, seed),
+            rows=summarise(counts, sets, seed=seed),
             counts=counts,
             baselines=_merged_baselines(scores, prechecks),
             config=config,
@@ -198,7 +198,8 @@ class Results:
 
     def likeness_of(self, detector: str) -> Likeness | None:
         """Gives the comparison by the main rule, which decides; None where it was not measured."""
-        return by_main_rule(row for row in self.likeness if row.detector == detector)
+        decides = (detector, MAIN_MATCH)
+        return next((row for row in self.likeness if (row.detector, row.match) == decides), None)
 
     @cached_property
     def sample(self) -> Sample:

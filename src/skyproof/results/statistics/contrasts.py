@@ -8,8 +8,10 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Int, Num
+from scipy import special
 
 from skyproof.results.statistics.intervals import (
+    TAIL,
     Interval,
     Sample,
     bootstrap_interval,
@@ -32,13 +34,15 @@ class Group:
 
     `repeats` tells what each series is one of several of; empty where they are taken as given. The
     mean is over `of`, each the mean of its own series, so that a camouflage counts once, however
-    often it was repeated; empty where it is over the series.
+    often it was repeated; empty where it is over the series. `ends` are the counts at the other
+    thresholds that chance might have set.
     """
 
     counts: Int[np.ndarray, "S N 3"]
     sample: Sample
     repeats: Sequence[Sequence[Repeat]] = ()
     of: Sequence[str] = ()
+    ends: Sequence[Int[np.ndarray, "S N 3"]] = ()
 
     @cached_property
     def factors(self) -> Float[np.ndarray, " S"]:
@@ -66,12 +70,14 @@ def mean_interval(
 ) -> Interval:
     """Gives the interval of a rate's mean over series, no surer than they are.
 
-    It covers which tiles and vehicles were drawn and, where there are several, which seeds, draws
-    or trainings (`spread_of_repeats`). `limits` are the rate's smallest and largest value.
+    It covers which tiles and vehicles were drawn and, where there are several, which seeds, draws,
+    trainings (`spread_of_repeats`) or thresholds. `limits` are the rate's smallest and largest
+    value.
     """
     values = group.easr if rate is overall_attack_success_rate else _Values.of(group, rate)
     mean = values.mean(group.factors, limits)
-    return _with_repeats(mean, values.points, group.factors, group.repeats, limits)
+    moved = [float(rate(end.sum(axis=1)) @ group.factors) for end in group.ends]
+    return _with_repeats(mean, values.points, group.factors, group.repeats, limits, moved)
 
 
 def difference_interval(plus: Sequence[Group], minus: Sequence[Group]) -> Interval:
@@ -107,7 +113,9 @@ def difference_interval(plus: Sequence[Group], minus: Sequence[Group]) -> Interv
         agreed = whole.unanimous or any(part.unanimous for part in parts)
         whole = replace(whole, low=low, high=high, unanimous=agreed)
     repeats = [own for group in groups for own in group.repeats or [()] * len(group.counts)]
-    return _with_repeats(whole, together.points, factors, repeats, limits)
+    ends = [np.concatenate(end) for end in zip(*(group.ends for group in groups), strict=True)]
+    moved = [float(overall_attack_success_rate(end.sum(axis=1)) @ factors) for end in ends]
+    return _with_repeats(whole, together.points, factors, repeats, limits, moved)
 
 
 @dataclass(frozen=True)
@@ -211,14 +219,22 @@ def _with_repeats(
     factors: Float[np.ndarray, " S"],
     repeats: Sequence[Sequence[Repeat]],
     limits: tuple[float, float],
+    moved: Sequence[float],
 ) -> Interval:
-    """Adds the uncertainty of repeats: half-widths are squared and added."""
+    """Adds the uncertainty of repeats and thresholds: half-widths are squared and added.
+
+    At the thresholds' 95 % limits the estimate is `moved`; the farther one on each side counts.
+    """
     if math.isnan(whole.low):
         return whole
     variances, below, above = spread_of_repeats(values, factors, repeats)
     errors = {name: math.sqrt(variance) for name, variance in variances.items()}
-    low = max(whole.estimate - math.hypot(whole.estimate - whole.low, below), limits[0])
-    high = min(whole.estimate + math.hypot(whole.high - whole.estimate, above), limits[1])
+    down = whole.estimate - np.nanmin([whole.estimate, *moved])
+    up = np.nanmax([whole.estimate, *moved]) - whole.estimate
+    if moved:
+        errors["thresholds"] = float(up + down) / 2 / float(special.ndtri(1 - TAIL))
+    low = max(whole.estimate - math.hypot(whole.estimate - whole.low, below, down), limits[0])
+    high = min(whole.estimate + math.hypot(whole.high - whole.estimate, above, up), limits[1])
     return replace(whole, low=low, high=high, errors=whole.errors | errors)
 
 

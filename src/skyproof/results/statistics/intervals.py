@@ -35,7 +35,8 @@ class Interval:
     """An estimate with its 95 % limits; nan where no vehicle was found or there is one tile.
 
     It is unanimous if every tile agreed in some part, so that exact binomial limits entered. The
-    standard errors are by source of variation: "tiles", "vehicles", "seeds", "draws", "trainings".
+    standard errors are by source of variation: "tiles", "vehicles", "seeds", "draws", "trainings",
+    "thresholds".
     """
 
     estimate: float
