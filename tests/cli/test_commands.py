@@ -221,7 +221,7 @@ def test_what_was_scored_by_hand_is_reported(
     answer = skyproof(*call, "--frame-classes", "vehicle", *CPU)
     assert answer.code == 0, answer.err
     assert "valid" in answer.out
-    assert skyproof("report", "--run-folder", tmp_path / "mine").code == 0
+    assert skyproof("report", tmp_path / "mine").code == 0
     page = (tmp_path / "mine/report.html").read_text()
     assert page.count('without camouflage"') >= 6
     assert page.count(' with T-U"') >= 6
@@ -233,10 +233,10 @@ def test_what_was_scored_by_hand_is_reported(
 
 def test_report(copied, tmp_path: Path, skyproof: Skyproof) -> None:
     folder = copied("report.html")
-    answer = skyproof("report", "--run-folder", folder)
+    answer = skyproof("report", folder)
     assert answer.code == 0, answer.err
     assert (folder / "report.html").exists()
-    skyproof("report", "--run-folder", tmp_path / "missing").refused(
+    skyproof("report", tmp_path / "missing").refused(
         str(tmp_path / "missing"), "holds no scores"
     )
     (folder / "report.html").unlink()
@@ -257,6 +257,6 @@ def test_report(copied, tmp_path: Path, skyproof: Skyproof) -> None:
     ):
         good = (folder / file).read_bytes()
         (folder / file).write_text(bad)
-        skyproof("report", "--run-folder", folder).refused(str(folder / file))
+        skyproof("report", folder).refused(str(folder / file))
         assert not (folder / "report.html").exists()
         (folder / file).write_bytes(good)

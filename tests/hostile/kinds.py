@@ -92,7 +92,7 @@ def draw_fixed(inputs: Path, out: Path) -> Sequence[object]:
 
 
 def report(inputs: Path, out: Path) -> Sequence[object]:
-    return ["report", "--run-folder", out / "copy"]
+    return ["report", out / "copy"]
 
 
 def assess(inputs: Path, out: Path) -> Sequence[object]:

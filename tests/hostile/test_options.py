@@ -61,7 +61,7 @@ def base(name: str, inputs: Path, out: Path) -> Sequence[object]:
         "demo": ["demo", "--out", out / "new", "--device", "nowhere"],
         "assess": ["assess", detector, "--out", out / "new", "--imagery", inputs / "nowhere.tif"],
         "reproduce": ["reproduce", "--preset", inputs / "nowhere.json", "--out", out / "new"],
-        "report": ["report", "--run-folder", inputs / "nowhere"],
+        "report": ["report", inputs / "nowhere"],
         "ground": ["ground", "--out", out / "new", "--tiles", 1, 1, 1, 1, "--tiling.size-px", 24],
         "clear": kinds.clear(inputs, out),
         "vehicles": ["vehicles", "--out", out / "new", "--counts", 1, 1, 1, 1],

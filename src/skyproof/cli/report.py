@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from tyro.conf import Positional
+
 from skyproof.console import say
 from skyproof.ranges import Fraction, Risk
 
@@ -20,7 +22,7 @@ class Report:
         consumer_risk: largest chance that a detector at `--reject` is accepted.
     """
 
-    run_folder: Path
+    run_folder: Positional[Path]
     accept: Fraction | None = None
     reject: Fraction | None = None
     producer_risk: Risk = 0.05
