@@ -15,7 +15,7 @@ from skyproof.words import detector_name, hides, interval, percent
 
 
 class _Answer(Struct, frozen=True):
-    """One row of `results.json`, as far as it is printed."""
+    """The columns of a row of `results.json` that are printed."""
 
     camouflage: str
     renderer: str
@@ -51,7 +51,7 @@ class _Answers(Struct, frozen=True):
     worst_cases: list[_WorstAnswer] = []
 
     def of(self, camouflages: Collection[str], match: str) -> dict[tuple[str, ...], _Answer]:
-        """Gives the rows of some camouflages by one match rule."""
+        """Returns the rows of these camouflages by one match rule."""
         return {
             (row.camouflage, row.renderer, row.detector): row
             for row in self.rows
@@ -65,13 +65,13 @@ def say_answers(layout: Layout, camouflages: Collection[str]) -> None:
     lenient = answers.of(camouflages, LENIENT_MATCH)
     for place, row in answers.of(camouflages, MAIN_MATCH).items():
         where = _where(row.renderer)
-        half = lenient[place].easr if place in lenient else None
+        lenient_easr = lenient[place].easr if place in lenient else None
         say(
             f"  {detector_name(row.detector):<12} {row.camouflage} {hides(row.easr)}"
             f"{where} (95 % interval {interval(row.easr_low, row.easr_high)}), "
             "net of the strongest control "
             f"{percent(row.net_strongest_control_easr)}"
-            + ("" if half is None else f", by the lenient rule {percent(half)}")
+            + ("" if lenient_easr is None else f", by the lenient rule {percent(lenient_easr)}")
         )
     for worst in answers.worst_cases:
         say(
@@ -89,9 +89,9 @@ def say_verdict(layout: Layout) -> None:
 
 
 def say_expected(layout: Layout, suite: Suite) -> None:
-    """Compares the rows of a reference detector with the suite's, and stores the comparison.
+    """Compares the rates of a reference detector with the suite's, and stores the comparison.
 
-    A detector must not pass because the attacks were weak here. Others have no expected numbers.
+    A detector must not pass because attacks were weak here. Other detectors have no expected rates.
     """
     compared = []
     for row in _read(layout).of(suite.attacks, MAIN_MATCH).values():
@@ -127,7 +127,7 @@ def _where(renderer: str) -> str:
 
 
 def _is_reference(layout: Layout, name: str) -> bool:
-    """Whether a run's detector is a reference detector, and not another one of its name."""
+    """Whether a run's detector is a reference detector, not just another detector of that name."""
     if name not in REFERENCE_DETECTORS:
         return False
     own = read_card(layout.detector(name))

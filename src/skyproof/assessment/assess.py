@@ -1,4 +1,4 @@
-"""An assessment: its steps in their order, and the functions that run and plan it."""
+"""An assessment: its steps in order, and the functions that run and plan it."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -34,7 +34,7 @@ _SCORED_AT_ONCE = 24
 
 
 def assess_steps(its: Subject) -> Iterator[Step]:
-    """The steps from detectors and imagery to a report, in their order."""
+    """Yields the steps from detectors and imagery to a report, in order."""
     layout, requirement = its.layout, its.request.requirement
     yield from prepare(its)
     yield fleets(its, layout)
@@ -61,7 +61,7 @@ def assess_steps(its: Subject) -> Iterator[Step]:
     if its.request.cycles:
         rendering = Rendering(renderer="cycles", blender=its.request.blender)
         scores.append(rendered(its, layout, "test", rendering=rendering))
-        # Cycles takes a minute or more for each, so random controls are left to the best-of-N.
+        # Cycles takes a minute or more per camouflage, so best-of-N stands in for random controls.
         finished = [folder for folder in optimised if folder.parent == layout.camouflages]
         scores.append(score(its, "test-cycles", finished, rendering=rendering))
     yield from scores
@@ -71,7 +71,7 @@ def assess_steps(its: Subject) -> Iterator[Step]:
 def _prepared(
     request: Request, suite_file: Path, black_box: "BlackBoxDetector | None"
 ) -> tuple[Subject, Run]:
-    """Checks a request as far as its options tell, and gives its run, which is not begun."""
+    """Checks a request as far as its options allow, and returns its run, which has not begun."""
     its = subject_of(request, read_suite(suite_file), black_box)
     what = "is this vehicle detector" if len(its.names) == 1 else "are these vehicle detectors"
     steps = [*assess_steps(its)]
@@ -94,9 +94,9 @@ def _prepared(
 def run_assessment(
     request: Request, suite_file: Path = SUITE, black_box: "BlackBoxDetector | None" = None
 ) -> Path:
-    """Does all steps that are not finished, and prints the results; returns the report's path."""
+    """Runs all unfinished steps and prints the results; returns the report's path."""
     its, run = _prepared(request, suite_file, black_box)
-    # Mistakes show before an hour's work, not after it.
+    # Mistakes should show before an hour of work, not after it.
     if not request.out.exists():
         seen = first_look(its, run.steps)
     else:
@@ -155,17 +155,17 @@ def assess(
     """Tests detectors with the suite of attacks, as `skyproof assess` does, and writes a report.
 
     Only the answers of a callable are used: attacks are optimised on the reference detectors and
-    continued by query attacks. Its threshold is frozen on the labels, or on rendered vehicles
-    without any. A stopped run continues when the same call is made again.
+    continued by query attacks. Its threshold is frozen on the labels or, without labels, on
+    rendered vehicles. A stopped run continues when the same call is made again.
 
     Args:
         detector: a detector folder, "retinanet" or "faster_rcnn", or several of them, which are
             attacked together; or a checkpoint or ONNX file; or a callable: it takes sRGB images
             `[B, 3, H, W]` in [0, 1] and returns boxes `[K, 4]` (left, top, right, bottom in pixels)
-            and scores `[K]` of each; or a MAITE model.
+            and scores `[K]` for each image; or a MAITE model.
         out: run folder.
         name: name of a callable in tables; its own `name` or `__name__` if None.
-        imagery: orthophotos or folders of them; ground is drawn without any.
+        imagery: orthophotos or folders of them; without any, ground is drawn.
         gsd: metres per pixel of imagery that does not state it.
         labels: file or folder of labels of the vehicles in the imagery.
         label_classes: vehicle classes of the labels; FIELD=CLASS also names the field of a vector
@@ -178,10 +178,10 @@ def assess(
         reject: share of hidden vehicles from which a detector is rejected.
         producer_risk: largest chance that a detector at `accept` is rejected.
         consumer_risk: largest chance that a detector at `reject` is accepted.
-        cycles: render the test scenes with Blender Cycles, too.
+        cycles: whether to render the test scenes with Blender Cycles as well.
         blender: a Blender 4.5 executable, or a Python that has bpy 4.5.
-        go_on: whether to go on though labelled vehicles have an impossible length, or though no
-            detector passed its precheck and a verdict was asked for.
+        go_on: whether to go on although labelled vehicles have an impossible length, or although
+            no detector passed its precheck and a verdict was asked for.
         seed: seed of everything that is drawn.
         device: "auto", "cpu" or "cuda".
 

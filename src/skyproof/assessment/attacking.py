@@ -22,10 +22,10 @@ _QUERY_S = 0.02
 
 
 def attacks(its: Subject) -> Iterator[Step]:
-    """The steps that optimise camouflages and choose controls."""
+    """Yields the steps that optimise camouflages and choose controls."""
     suite, boxed = its.suite, its.black_box is not None
     chosen = suite.chosen_controls(its.seed, 1 if boxed else suite.searches)
-    # A query attack is compared with the search from nothing at its end.
+    # At its end, a query attack is compared with a random search, so searches come first.
     asked = [name for name in chosen if boxed and name.choice == "search"]
     for name in asked:
         yield query(its, name)
@@ -45,7 +45,7 @@ def attacks(its: Subject) -> Iterator[Step]:
 
 
 def _transferred(its: Subject, name: CamouflageName, asked: CamouflageName) -> Iterator[Step]:
-    """An attack on the reference detectors, and the query attack `asked` that starts from it."""
+    """Yields an attack on the reference detectors, and the query attack `asked` that follows it."""
     transfer = name.with_variant(TRANSFER)
     yield attack(its, transfer, its.suite.attack(name, its.seed), transfer=True)
     yield query(its, asked, start=transfer)
@@ -88,17 +88,17 @@ def query(its: Subject, name: CamouflageName, start: CamouflageName | None = Non
     def work() -> None:
         if start is None:
             generator = generator_of(its.seed, "texture", str(name))
-            begun = make_camouflage(name, generator=generator, palette=its.palette(name))
+            base = make_camouflage(name, generator=generator, palette=its.palette(name))
         else:
-            begun = load_camouflage(its.layout.camouflage(str(start)))
-            begun.name = name
-        begun.to(its.device)
+            base = load_camouflage(its.layout.camouflage(str(start)))
+            base.name = name
+        base.to(its.device)
         other = None
         if rival is not None:
             other = load_camouflage(its.layout.camouflage(str(rival))).to(its.device)
         (detector,) = its.detectors
         with progress_bar(f"query attack {name}") as update:
-            query_attack(begun, detector, its.world, settings, folder, rival=other, on_step=update)
+            query_attack(base, detector, its.world, settings, folder, rival=other, on_step=update)
 
     return Step(
         "ask",
@@ -112,7 +112,7 @@ def query(its: Subject, name: CamouflageName, start: CamouflageName | None = Non
 
 
 def controls(its: Subject) -> Iterator[Step]:
-    """The steps that draw random controls, and random shapes on optimised textures."""
+    """Yields the steps that draw random controls, and random shapes on optimised textures."""
     yield _drawn(its, its.suite.random_controls())
     for texture, names in its.suite.random_shapes().items():
         yield _drawn(its, names, texture)
@@ -140,7 +140,7 @@ def _drawn(its: Subject, texts: Sequence[str], texture: str | None = None) -> St
 
 
 def scored(its: Subject, steps: Sequence[Step]) -> list[Path]:
-    """The camouflage folders that attacks leave, with their kept copies."""
+    """Lists the camouflage folders that attacks write, with the copies that they keep."""
     folders = []
     for step in steps:
         folder = its.layout.camouflage(step.name)

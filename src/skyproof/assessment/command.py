@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 _Class = Annotated[str, Meta(max_length=200)]
 _UNDECIDED = ("out", "device", "cycles", "blender", "go_on")
-"""Where a run is computed, or what is added to it, changes none of its results."""
+"""Options that change no results: where a run is computed, and what is added to it."""
 
 _OPTIONS = {
     "give it with --source.crs, or the metres": "write it into the image, or give the metres",
@@ -35,12 +35,12 @@ _OPTIONS = {
     "--labels.classes": "--label-classes",
     "--labels.path": "--labels",
 }
-"""Advice of the commands that are steps of an assessment, and what it is for `assess`."""
+"""Advice in errors of the commands that an assessment runs, and its wording for `assess`."""
 
 
 @contextmanager
 def own_options() -> Iterator[None]:
-    """Has errors of the steps name the options of `assess`."""
+    """Rewrites errors of the steps so that they name the options of `assess`."""
     try:
         yield
     except SkyproofError as error:
@@ -76,10 +76,10 @@ class Request:
         reject: share of hidden vehicles from which a detector is rejected.
         producer_risk: largest chance that a detector at `--accept` is rejected.
         consumer_risk: largest chance that a detector at `--reject` is accepted.
-        cycles: render the test scenes with Blender Cycles, too, also after a finished run.
-        blender: Blender 4.5, or a Python with bpy 4.5 (default: of `make blender`, then of the
-            PATH).
-        go_on: go on though labelled vehicles have an impossible length, or though no detector
+        cycles: render the test scenes with Blender Cycles as well, even after a finished run.
+        blender: Blender 4.5, or a Python with bpy 4.5 (default: that of `make blender`, then the
+            one on the PATH).
+        go_on: go on although labelled vehicles have an impossible length, or although no detector
             passed its precheck and a verdict was asked for.
         seed: seed of everything that is drawn.
         device: auto, cpu or cuda.
@@ -106,7 +106,7 @@ class Request:
 
     @property
     def requirement(self) -> "Requirement | None":
-        """What decides whether a detector is accepted; None where nothing is asked."""
+        """The requirement that decides whether a detector is accepted; None if there is none."""
         from skyproof.results.statistics.acceptance import requirement_of
 
         return requirement_of(self.accept, self.reject, self.producer_risk, self.consumer_risk)
@@ -117,13 +117,13 @@ class Request:
         return self.out.resolve().name
 
     def config(self) -> dict[str, object]:
-        """Gives what decides the results, for config.json."""
+        """Returns the options that decide the results, for config.json."""
         settings = {key: value for key, value in asdict(self).items() if key not in _UNDECIDED}
         imagery = [str(path) for path in self.imagery] or "procedural"
         return {**settings, "imagery": imagery}
 
     def refuse_contradictions(self, *, objects: bool) -> None:
-        """Refuses options that contradict each other; of Python objects no file is read."""
+        """Refuses options that contradict each other; Python `objects` have no files to check."""
         needed = {
             "--blender": (self.blender, self.cycles, "--cycles"),
             "--gsd": (self.gsd, self.imagery, "--imagery"),
@@ -196,7 +196,7 @@ class Assess(Request):
     plan: bool = False
 
     def run(self) -> None:
-        """Does all steps that are not finished yet, and prints the answer."""
+        """Runs all unfinished steps, and prints the answer."""
         from skyproof.assessment.assess import plan_assessment, run_assessment
 
         if self.plan:
@@ -215,9 +215,9 @@ class Demo:
         out: run folder to write.
         seed: seed of everything that is drawn.
         device: auto, cpu or cuda.
-        cycles: render the test scenes with Blender Cycles, too, also after a finished run.
-        blender: Blender 4.5, or a Python with bpy 4.5 (default: of `make blender`, then of the
-            PATH).
+        cycles: render the test scenes with Blender Cycles as well, even after a finished run.
+        blender: Blender 4.5, or a Python with bpy 4.5 (default: that of `make blender`, then the
+            one on the PATH).
     """
 
     out: Path = Path("runs/demo")
@@ -227,7 +227,7 @@ class Demo:
     blender: Path | None = None
 
     def run(self) -> None:
-        """Does all steps that are not finished yet, and prints the answer."""
+        """Runs all unfinished steps, and prints the answer."""
         from skyproof.assessment.assess import run_assessment
         from skyproof.assessment.suite import DEMO_SUITE
 

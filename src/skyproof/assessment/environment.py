@@ -15,7 +15,7 @@ from skyproof.files import write_json
 from skyproof.results.stored import read_environment
 
 _LONGEST_COMMAND = 2000
-"""A command may name hundreds of photographs."""
+"""Characters that are kept of a command, which may name hundreds of photographs."""
 
 
 def write_environment(path: Path, device: str, seed: object) -> None:
@@ -63,7 +63,7 @@ def _version(package: str) -> str | None:
 
 
 def _commit() -> str | None:
-    """The commit of a source checkout; None for an installed package, also in a user's checkout."""
+    """Returns the commit of a source checkout; None for an installed package, wherever it lies."""
     here = Path(__file__).resolve().parents[3]
     if not (here / ".git").exists():
         return None

@@ -21,7 +21,7 @@ from skyproof.words import counted, detector_name, percent
 
 
 def refuse_few_tiles(said: str, tiles: int, requirement: Requirement, scenes: int) -> None:
-    """Refuses test tiles, of which `said` tells, on which no detector could be accepted."""
+    """Raises an error that begins with `said` if no detector can be accepted on so few tiles."""
     needed = fewest_tiles(requirement.reject, requirement.consumer_risk)
     if tiles < needed:
         raise ImageryError(
@@ -83,7 +83,7 @@ def precheck(its: Subject) -> Step:
 def still_open(its: Subject, requirement: Requirement) -> Step:
     """Ends a run with a report if its prechecks say that no detector can be accepted.
 
-    Not if the attacks were scored already.
+    A run whose attacks are scored already goes on, as does one with `--go-on`.
     """
     layout, out = its.layout, its.layout.folder / "open.json"
     checks = tuple(map(layout.precheck, its.names))
@@ -96,8 +96,8 @@ def still_open(its: Subject, requirement: Requirement) -> Step:
             _write_report(its, requirement)
             raise RunEnded(
                 "The run ends before the attacks, because a detector that failed its precheck, or "
-                "does not see rendered vehicles like photographed ones, cannot be accepted. Mend "
-                "the detector, or give the same command with --go-on to measure the attacks."
+                "does not see rendered vehicles like photographed ones, cannot be accepted. "
+                "Improve the detector, or repeat the command with --go-on to measure the attacks."
             )
         write_json(out, {"failed": failed})
 
@@ -106,7 +106,7 @@ def still_open(its: Subject, requirement: Requirement) -> Step:
 
 
 def _hopeless(name: str, record: PrecheckRecord) -> str:
-    """Says why a precheck leaves no chance of acceptance; empty where it does."""
+    """Says why a precheck leaves no chance of acceptance; empty if a chance remains."""
     unlike = record.likeness_by_main_rule
     if unlike is not None and unlike.judges_nobody:
         return unlike.sentence
@@ -122,9 +122,9 @@ def score(
     first: bool = False,
     rendering: Rendering | None = None,
 ) -> Step:
-    """Tests every detector with and without camouflages, and `first` on further images.
+    """Tests every detector with and without camouflages.
 
-    These are the labelled test tiles, and test scenes without vehicles.
+    The `first` test adds the labelled test tiles, and test scenes without vehicles.
     """
     layout = its.layout
     chosen = rendering or Rendering()
@@ -158,7 +158,7 @@ def score(
 
 
 def scored_names(steps: Sequence[Step]) -> list[str]:
-    """The names of the camouflages that a whole run scores on the renderer of the attacks."""
+    """Lists the camouflages that a complete run scores on the renderer of the attacks."""
     scores = [step for step in steps if step.kind == "score" and not step.extra]
     return [camouflage.name for step in scores for camouflage in step.inputs]
 
@@ -191,7 +191,7 @@ def report(its: Subject, scores: Sequence[Step], requirement: Requirement | None
 
 
 def _frames(its: Subject) -> tuple[str, ...]:
-    """The labelled test tiles, on which no threshold was frozen."""
+    """Names the labelled test tiles, if any; no threshold was frozen on them."""
     return (f"{YOURS}={its.layout.tiles / 'test'}@{its.gsd_m}",) if its.labelled else ()
 
 

@@ -42,13 +42,13 @@ from skyproof.results.statistics.planning import (
 from skyproof.words import counted, percent, span
 
 _LENGTHS_M = (3.0, 7.0)
-"""Median lengths of labelled vehicles that a right resolution may give: cars are 4.5 m long."""
+"""Plausible median lengths of labelled vehicles at the right resolution; cars are 4.5 m long."""
 
 _FEW = 5
-"""Labels from which a median is taken seriously."""
+"""Fewest labels whose median is taken seriously."""
 
 _FEW_ON_TILES = 40
-"""Labelled vehicles from which the validation and test tiles hold some with near certainty."""
+"""With so many labelled vehicles, validation and test tiles almost certainly both hold some."""
 
 _VEHICLES = 3
 """Mean number in a test scene."""
@@ -61,10 +61,10 @@ _CLEAR_S = 0.6
 
 
 def first_look(its: Subject, steps: Sequence[Step]) -> list[str]:
-    """Tells the content of imagery and labels, the limits of the results, the test and its time.
+    """Describes imagery and labels, the limits of the results, and the size and time of the test.
 
     Raises:
-        SkyproofError: tells every mistake that shows in options and files.
+        SkyproofError: names every mistake that shows in options and files.
     """
     request = its.request
     mistakes: list[SkyproofError] = []
@@ -88,7 +88,7 @@ def first_look(its: Subject, steps: Sequence[Step]) -> list[str]:
 
 
 def limits(its: Subject) -> Iterator[str]:
-    """The limits of this run's results."""
+    """Yields the limits of this run's results, in sentences."""
     request = its.request
     if not request.imagery:
         yield "without --imagery, ground is drawn, so the result says nothing about your sites"
@@ -110,7 +110,7 @@ def limits(its: Subject) -> Iterator[str]:
 
 
 def _look_at_detector(its: Subject, place: Path) -> None:
-    """Loads a detector folder or a checkpoint, as steps will do after hours."""
+    """Loads a detector folder or a checkpoint now, because steps load it only after hours."""
     request = its.request
     if detector_folder(place).is_dir():
         load_detector(place)
@@ -122,7 +122,7 @@ def _look_at_detector(its: Subject, place: Path) -> None:
 
 @contextmanager
 def _noted(mistakes: list[SkyproofError]) -> Iterator[None]:
-    """Goes on after a mistake, so that a user hears of all at once."""
+    """Collects a mistake and goes on, so that a user learns of all mistakes at once."""
     try:
         yield
     except SkyproofError as error:
@@ -185,7 +185,7 @@ def _imagery(sources: Sequence[Source], cells: Sequence[Cell]) -> str:
 
 
 def _ground_m2(sources: Sequence[Source]) -> float:
-    """Adds up the ground of images; what several photographs show counts once."""
+    """Adds up the ground in images; ground that several photographs show counts once."""
     shown = defaultdict[str, list[Polygon]](list)
     for source in sources:
         across_m, down_m = source.georeference.gsd_m
@@ -203,23 +203,23 @@ def _labels(
     grids: Sequence[Grid],
     its: Subject,
 ) -> str:
-    """Tells number and length of the labelled vehicles, and refuses impossible lengths."""
+    """States the number and length of labelled vehicles, and refuses impossible lengths."""
     classes = vehicle_classes(labels, settings)
     lengths_m, count = _lengths_m(labels, classes, sources, grids)
-    told = counted(count, "labelled vehicle")
+    number = counted(count, "labelled vehicle")
     if len(lengths_m) < _FEW:
-        return told
+        return number
     middle_m = median(lengths_m)
     if not _LENGTHS_M[0] <= middle_m <= _LENGTHS_M[1] and not its.request.go_on:
         raise ImageryError(
             f"The median labelled vehicle is {middle_m:.1f} m long, and cars are {_LENGTHS_M[0]:g} "
             f"to {_LENGTHS_M[1]:g} m: correct --gsd or --label-classes, or insist with --go-on."
         )
-    return f"{told}, the median is {middle_m:.1f} m long (a car is about 4.5 m)"
+    return f"{number}, the median is {middle_m:.1f} m long (a car is about 4.5 m)"
 
 
 def _on_tiles(placed: PlacedLabels, cells: Sequence[Cell]) -> Iterator[str]:
-    """Tells how many labelled vehicles lie on tiles; refuses none."""
+    """States how many labelled vehicles lie on tiles, and raises an error if none does."""
     count = 0
     for cell in cells:
         owner = np.full((cell.size_px, cell.size_px), cell.sources[0])
@@ -236,7 +236,7 @@ def _on_tiles(placed: PlacedLabels, cells: Sequence[Cell]) -> Iterator[str]:
 def _lengths_m(
     labels: Labels, classes: Sequence[str], sources: Sequence[Source], grids: Sequence[Grid]
 ) -> tuple[list[float], int]:
-    """Gives the lengths of labelled vehicles that are more than points, and the number of all."""
+    """Returns the lengths of labelled vehicles that are not mere points, and the number of all."""
     lengths_m: list[float] = []
     count = 0
     if isinstance(labels, GroundLabels):
@@ -262,14 +262,14 @@ def _lengths_m(
 
 
 def _plan(its: Subject, tiles: int, steps: Sequence[Step]) -> Iterator[str]:
-    """Tells the size of a test on at most so many tiles, the size it needs, and the time."""
+    """States the size of a test on at most so many tiles, the size that it needs, and its time."""
     scenes = its.suite.test_images
-    # Scenes fall on tiles at random, so that some tiles are seen twice and some never.
+    # Scenes fall on tiles at random, so some tiles are seen twice and others never.
     shown = max(1, round(tiles * (1 - (1 - 1 / max(tiles, 1)) ** scenes)))
-    each = max(_VEHICLES * scenes / shown, 1.0)
-    effect = 1 + max(each - 1, 0) * _CORRELATION
+    per_tile = max(_VEHICLES * scenes / shown, 1.0)
+    effect = 1 + max(per_tile - 1, 0) * _CORRELATION
     fleet = its.suite.vehicles[3]
-    assumptions = Assumptions(_EASR, vehicles_per_tile=each, design_effect=effect, fleet=fleet)
+    assumptions = Assumptions(_EASR, vehicles_per_tile=per_tile, design_effect=effect, fleet=fleet)
     width = expected_half_width(shown, assumptions)
     at_most = "at most " if its.request.imagery else ""
     wide = f"be about ±{100 * width:.0f} percentage points" if width < 0.5 else "say nothing"

@@ -41,8 +41,8 @@ VEHICLE_CLASSES = ("vehicle",)
 _SHARES = (0.0, 0.25, 0.25, 0.5)
 
 _FEWEST_LABELS = 20
-"""Labelled vehicles from which a fleet has their paints, and a detector folder another threshold: a
-share of a fifth, such as that of a colour, is then known to 9 points (standard deviation)."""
+"""Fewest labelled vehicles to take a fleet's paints from, and to freeze a detector's threshold on.
+A share of a fifth, such as that of a colour, is then known to 9 points (standard deviation)."""
 
 _FEW = (
     "labels give fewer sunlit places with a heading than "
@@ -56,11 +56,11 @@ _STAND = {
 }
 
 _LONG_S = 60.0
-"""Estimated seconds of other steps on one core."""
+"""Estimated seconds, on one core, of steps without an estimate of their own."""
 
 
 def prepare(its: Subject) -> Iterator[Step]:
-    """The steps to ground without vehicles and to detectors."""
+    """Yields the steps that prepare detectors, and ground without vehicles."""
     imagery = bool(its.request.imagery)
     yield tiles(its) if imagery else drawn_ground(its, its.layout, its.suite.tiles)
     for number in range(len(its.names)):
@@ -70,7 +70,7 @@ def prepare(its: Subject) -> Iterator[Step]:
 
 
 def tiling_of(its: Subject) -> TilingSettings:
-    """The tiling of imagery; nothing is trained, so train gets no tiles."""
+    """Returns the tiling of imagery; nothing is trained, so the train split gets no tiles."""
     tiling = tiling_for_images(its.image_px, gsd_m=its.gsd_m, imagery=True)
     return replace(tiling, shares=_SHARES)
 
@@ -103,7 +103,7 @@ def drawn_ground(
 
 
 def detector(its: Subject, number: int) -> Iterator[Step]:
-    """Brings a detector into the run folder; labels freeze its threshold, if there are any."""
+    """Yields the steps that add a detector to the run; labels, if any, freeze its threshold."""
     name = its.names[number]
     place = its.request.detectors[number]
     if its.black_box is None and detector_folder(place).is_dir():
@@ -162,7 +162,7 @@ def frozen_on_labels(its: Subject, name: str, place: Path) -> Step:
 
 
 def brought(its: Subject, name: str, place: Path, validation: Path) -> Step:
-    """Imports a checkpoint or takes a black-box detector, with a threshold frozen on images."""
+    """Imports a checkpoint or adds a black-box detector, with a threshold frozen on images."""
     request, out = its.request, its.layout.detector(name)
 
     def work() -> None:
@@ -207,7 +207,7 @@ def cleared(its: Subject) -> Step:
 
 
 def fleets(its: Subject, layout: Layout, title: str = "fleets") -> Step:
-    """Draws the vehicles of the four splits, in paints of the place if labels show them."""
+    """Draws the vehicles of the four splits, in labelled vehicles' paints if enough show theirs."""
     counts = its.suite.vehicles
     draw = Vehicles(layout.fleets, counts=counts, seed=its.seed)
     effort_s = START_S + VEHICLE_S * sum(counts)
@@ -232,7 +232,7 @@ def fleets(its: Subject, layout: Layout, title: str = "fleets") -> Step:
 
 
 def _ground(split: Shown) -> Split:
-    """The split whose ground and vehicles scenes have."""
+    """Returns the split that provides the ground and vehicles of scenes."""
     return "test" if split == "empty" else split
 
 

@@ -24,8 +24,8 @@ from skyproof.results.stored import Timing, read_environment, read_timings
 # Every run's config names one of them, and a seed.
 _RECIPES = {"suite", "preset"}
 
-# Estimated seconds on one core: of a step before its work, for a vehicle, a random control, and
-# a million pixels, before one small detector where there is one.
+# Estimated seconds on one core: to start a step, per vehicle, per random control, and per million
+# pixels (of detection and attacks: for one small detector).
 START_S = 5.0
 VEHICLE_S = 0.08
 CONTROL_S = 0.1
@@ -55,20 +55,20 @@ class Step:
     Attributes:
         kind: kind of work, such as "train"; it groups steps in tables of times.
         name: object of the work; kind and name together are unique in a run.
-        settings: plain values, paths and dataclasses that decide the outputs, beside those of
-            earlier steps.
+        settings: plain values, paths and dataclasses that decide the outputs, in addition to the
+            settings of earlier steps.
         growing: whether a stopped step leaves half-filled folders from which it resumes; otherwise
             an output appears whole or not at all.
         renewed: whether changed settings or newer inputs repeat the step. Other steps are kept.
         extra: whether the same run may be repeated without this step.
-        words: what people read in place of kind and name, which run folders keep.
+        words: title for people in place of kind and name, which run folders keep.
         effort_s: estimated seconds on one core; only the share of the whole counts.
     """
 
     kind: str
     name: str
     outputs: tuple[Path, ...]
-    # Its settings tell two steps apart.
+    # Functions are not compared, because settings tell two steps apart.
     work: Callable[[], object] = field(compare=False)
     settings: object = None
     inputs: tuple[Path, ...] = ()
@@ -114,7 +114,7 @@ class _Kept(msgspec.Struct, frozen=True):
 class Run:
     """A new run, or the same run again; nothing is written before `begun`.
 
-    A run may have other settings as long as its finished steps do not depend on them, so that a
+    A run may be repeated with other settings if no finished step depends on them, so that a
     late mistake can be corrected. `config` is everything that decides the results, as plain JSON
     values. A folder that holds another run or something else is refused.
     """
@@ -146,7 +146,7 @@ class Run:
                 note_end(self._layout.environment)
 
     def do(self) -> None:
-        """Does every step that is not finished, and estimates the time left.
+        """Runs every unfinished step, and estimates the time left.
 
         Raises RunEnded if a step ends the run early.
         """
@@ -164,14 +164,14 @@ class Run:
                 self._keep([step])
 
     def is_finished(self, step: Step) -> bool:
-        """Whether a step is finished, and a renewed step with the same settings."""
+        """Whether a step is finished; a renewed step must have been run with the same settings."""
         if not step.is_finished():
             return False
         kept = self._kept().get(step.id) if step.renewed else None
         return kept is None or kept.settings_sha256 == self._digests[step.id]
 
     def note_times(self, rows: Iterable[Timing]) -> None:
-        """Writes the times of steps that other processes did."""
+        """Writes the times of steps that other processes ran."""
         write_json(self._layout.timings, [asdict(row) for row in rows])
 
     def _refuse_another(self) -> dict[str, Any] | None:
@@ -282,13 +282,13 @@ class Run:
         return str(value).replace(f"{self.folder}{os.sep}", "")
 
     def _timed(self, step: Step) -> None:
-        """Does a step's work, and stores its time."""
+        """Runs a step, and stores its time."""
         started = time.monotonic()
         try:
             step.work()
         except BaseException:
-            # A stopped step resumes from its checkpoint, so its time counts too. The reason of the
-            # stop matters more.
+            # A stopped step resumes from its checkpoint, so its time counts too. An error in
+            # storing it must not hide the reason for the stop.
             with suppress(RunFolderError):
                 self._add_time(step, time.monotonic() - started)
             raise
@@ -310,7 +310,7 @@ class Run:
 def time_left_s(
     steps: Sequence[Step], seconds: Mapping[str, float], cores: int = 1
 ) -> float | None:
-    """Estimates the seconds left, of the finished steps by id; None before one has finished."""
+    """Estimates the seconds left from those of finished steps by id; None before one finishes."""
     done = [step for step in steps if step.id in seconds]
     if not done:
         return None

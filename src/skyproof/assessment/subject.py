@@ -47,9 +47,9 @@ REFERENCE_GSD_M = 0.125
 """Resolution of the reference detectors, and of detectors that state none."""
 
 ENOUGH_PLACES: Mapping[Split, int] = {"test": 50, "attack": 25}
-"""Places from which vehicles stand only there. 120 scenes hold about 240 vehicles, and scores of
-vehicles on one place correlate by up to 0.23 (measured on two flights): on 46 places the variance
-of a rate doubles. Attack tiles are half as many."""
+"""Fewest places of labelled vehicles for all vehicles to stand there. 120 scenes hold about 240
+vehicles, and scores of vehicles on one place correlate by up to 0.23 (measured on two flights), so
+on 46 places the variance of a rate doubles. There are half as many attack tiles."""
 
 _SIDES = (".shp", ".dbf", ".prj")
 """The files of a Shapefile."""
@@ -59,8 +59,8 @@ _SIDES = (".shp", ".dbf", ".prj")
 class Subject:
     """The detectors, ground and vehicles of an assessment, which its steps share.
 
-    Sources are the SHA-256 of the user's files, by path; a black box is a Python object or an ONNX
-    file. Notes on imagery that the first look has `told` are not told again.
+    `sources` holds the SHA-256 of the user's files by path; a black box is a Python object or an
+    ONNX file. `told` holds the notes on imagery of the first look, which are not printed again.
     """
 
     request: Request
@@ -74,7 +74,7 @@ class Subject:
 
     @property
     def source_settings(self) -> SourceSettings:
-        """What the user says of the imagery."""
+        """The settings that the user gives for the imagery."""
         return SourceSettings(gsd_m=self.request.gsd)
 
     @cached_property
@@ -85,10 +85,10 @@ class Subject:
 
     @cached_property
     def inspected(self) -> list[Source]:
-        """The images of the imagery, laid in planes where they show the same ground."""
+        """The images of the imagery, placed in one plane where they show the same ground."""
         labels = None
         with suppress(SkyproofError):
-            # Their own mistakes are told where labels are used.
+            # Mistakes in labels are reported where the labels are used.
             labels = self.labels
         return inspect_shown(self.request.imagery, self.source_settings, labels)
 
@@ -123,7 +123,7 @@ class Subject:
         return side_px(self.suite.attack_m, self.gsd_m)
 
     def megapixels(self, images: int) -> float:
-        """Million pixels of so many images as large as the test's, to estimate time."""
+        """Returns the million pixels of so many test images, to estimate time."""
         return images * self.image_px**2 / 1e6
 
     @property
@@ -132,7 +132,7 @@ class Subject:
 
     @property
     def fits_reference(self) -> bool:
-        """Whether the reference detectors have the same resolution, and can start attacks."""
+        """Whether the reference detectors have the same resolution, so attacks can start there."""
         return math.isclose(self.gsd_m, REFERENCE_GSD_M)
 
     def load(self, folder: Path) -> Detector:
@@ -175,7 +175,7 @@ class Subject:
 
 
 def places_of(ground: BackgroundSet) -> Places:
-    """Where vehicles stand on cleared imagery: on places of labelled ones if it shows enough."""
+    """Decides where vehicles stand on cleared imagery: where labelled ones did, if they suffice."""
     tiles = {split: ground.tiles(split) for split in ENOUGH_PLACES}
     if all(
         sum(len(known_places(tile)) for tile in tiles[split]) >= count
@@ -245,7 +245,7 @@ def _refuse_what_scenes_cannot_show(requirement: Requirement, scenes: int) -> No
 def checked_object(
     detector: object, name: str | None, vehicle_classes: Sequence[str], architecture: str | None
 ) -> BlackBoxDetector:
-    """Returns a Python object as a detector of which only the answers are known, and checked."""
+    """Checks a Python object, and returns it as a black-box detector."""
     of_files: dict[str, object] = {"architecture": architecture}
     if is_maite_model(detector):
         detector = ModelDetector(detector, vehicle_classes=vehicle_classes)
@@ -262,7 +262,7 @@ def checked_object(
 
 
 def _digest(path: Path) -> str:
-    """The SHA-256 of a checkpoint, a detector card, or labels, so that a new file is noticed."""
+    """Returns the SHA-256 of a checkpoint, detector card or labels, so that a change is noticed."""
     total = hashlib.sha256()
     for file in _files(path):
         total.update(f"{file.name} {file_digest(file)}\n".encode())

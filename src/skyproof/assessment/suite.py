@@ -1,4 +1,4 @@
-"""The suites of attacks of `skyproof assess` and of the demo: frozen, so that versions compare."""
+"""The suites of attacks of `skyproof assess` and of the demo: frozen, so that results compare."""
 
 import math
 from collections.abc import Mapping
@@ -18,7 +18,7 @@ SUITE = Path(__file__).with_name("suite.json")
 DEMO_SUITE = Path(__file__).with_name("demo.json")
 
 _STRIDE_PX = 32
-"""Sides of images are multiples of it, as detectors take them."""
+"""Sides of images are multiples of this, as detectors require."""
 
 _SMALLEST_PX = 96
 
@@ -55,8 +55,8 @@ class Suite:
     Attributes:
         attacks: optimised camouflages; a texture stands before the shape on it.
         settings: settings of all attacks, except for the steps.
-        searches: random searches of each attack's control, if gradients guide them; a detector
-            that only answers is searched once, with a budget of queries.
+        searches: random searches for each attack's control on detectors with gradients; a
+            black-box detector is searched once, with a budget of queries.
         compared: attacks that are repeated as query attacks on a single detector with gradients; a
             stronger query attack shows that the gradients mislead.
         attack_m: side of the images in attacks, in metres.

@@ -1,4 +1,4 @@
-"""Attacks: what is minimised, and the one loop that minimises it.
+"""Attacks: the objective that is minimised, and the one loop that minimises it.
 
-Here stand also what an attack sees, and the test that its gradient points the right way.
+The package also holds an attack's scenes, and the test that its gradient points the right way.
 """

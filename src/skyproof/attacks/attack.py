@@ -144,7 +144,7 @@ def attack(
 
 
 def _start(camouflage: Camouflage) -> dict[str, Any]:
-    """What an attack begins with and keeps: fixed colours, a texture under a shape."""
+    """Describes what an attack starts from and keeps: fixed colours, a texture under a shape."""
     moving = {name for name, value in camouflage.named_parameters() if value.requires_grad}
     kept = {name: part for name, part in camouflage.state_dict().items() if name not in moving}
     return {**describe_camouflage(camouflage), "kept_sha256": tensors_digest(kept)}
@@ -193,8 +193,8 @@ class _Run:
         rounding["after"] = self._mean_losses()
         recorded = {"weights": facts["weights"], "discretisation": rounding}
         if self.held_out is not None and "hidden_half_way" in facts:
-            # Half-way the learning rate is still high, so less is hidden than by an attack of so
-            # many steps.
+            # Half-way, the learning rate is still high, so less is hidden than at the end of an
+            # attack with half as many steps.
             hidden = [facts["hidden_half_way"], self.held_out.measure(camouflage).hidden]
             recorded["convergence"] = {
                 "steps": [settings.steps // 2, settings.steps],
@@ -205,7 +205,7 @@ class _Run:
         return recorded
 
     def search(self) -> _Batch:
-        """Tries a random change on half a batch, so in as many passes; kept if it is better."""
+        """Tries a random change on half a batch, so in as many passes, and keeps it if better."""
         settings, step = self.settings, self.loop.step
         scenes = self.world.step_scenes(max(1, settings.batch_size // 2), settings.seed, step)
         other = copy.deepcopy(self.camouflage)
@@ -246,7 +246,7 @@ class _Run:
         return {name: statistics.fmean(values) for name, values in losses.items()}
 
     def _snapshot(self, variant: str) -> None:
-        """Stores a finished copy by its own name: "T-U_step10-0" is "T-U-0" after 10 steps."""
+        """Stores a finished copy under its own name: "T-U_step10-0" is "T-U-0" after 10 steps."""
         copied = copy.deepcopy(self.camouflage)
         copied.name = self.camouflage.name.with_variant(variant)
         copied.paper_form_(False)
@@ -261,7 +261,7 @@ def attack_weights(
     world: World,
     settings: AttackSettings,
 ) -> dict[str, float]:
-    """Gives the weights that make every detector's term 1, as `attack` says."""
+    """Returns the weights that make every detector's term 1, as `attack` describes."""
     worn = camouflage if settings.method == "paper" else None
     return balanced_weights(_losses(worn, detectors, world, settings))
 
@@ -333,7 +333,7 @@ def _losses(
     world: World,
     settings: AttackSettings,
 ) -> dict[str, list[float]]:
-    """Every detector's mean loss on each of the batches that no step sees."""
+    """Returns every detector's mean loss on each of the batches that no step sees."""
     means: dict[str, list[float]] = {detector.name: [] for detector in detectors}
     for batch in range(settings.balance_batches):
         scenes = world.step_scenes(settings.batch_size, settings.seed, -batch)

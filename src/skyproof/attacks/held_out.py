@@ -29,9 +29,9 @@ _Result = TypeVar("_Result")
 class Hidden(NamedTuple):
     """How well a camouflage hides vehicles; the greater of two hides more.
 
-    Mean EASR of the detectors comes first. A vehicle is found if a candidate at the threshold finds
-    it by the match rule; other rates use detections, after suppression. Silence is minus the mean
-    best score on the target, which decides between equals.
+    `hidden` is the mean EASR over detectors. A vehicle is found if a candidate at the threshold
+    matches it; other rates use detections after suppression. `silence` is minus the mean best score
+    on the target, which decides between equals.
     """
 
     hidden: float
@@ -42,7 +42,7 @@ class Hidden(NamedTuple):
 class HeldOut:
     """Eight batches of an attack's scenes, one vehicle each, that no step of it sees.
 
-    They share its ground and vehicles, so they are no result. `batch_size` may exceed its.
+    They share its ground and vehicles, so rates are no result. `batch_size` may exceed its own.
     """
 
     detectors: Sequence[Detector]
@@ -114,9 +114,9 @@ class HeldOut:
 def at_a_time(
     work: Callable[[_Item], _Result], items: Sequence[_Item], detectors: Sequence[Detector]
 ) -> list[_Result]:
-    """Does work that shows images to detectors: on a CPU, networks see several items at a time.
+    """Runs work that shows images to detectors; on a CPU, networks see several items at a time.
 
-    The caller's thread alone asks black-box detectors, whose code may not take several.
+    Only the caller's thread calls black-box detectors, whose code may not be thread-safe.
     """
     networks = all(isinstance(each, TrainableDetector) for each in detectors)
     if not networks or device_of(detectors[0]).type != "cpu":

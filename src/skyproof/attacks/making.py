@@ -72,7 +72,7 @@ class Maker:
     def make(
         self, name: CamouflageName, folder: Path, *, draws: int, texture: Camouflage | None
     ) -> None:
-        """Chooses a control, of `draws` for best-of-N, or optimises; with a progress bar."""
+        """Chooses a control, from `draws` for best-of-N, or optimises; shows a progress bar."""
         if name.has_candidates:
             with progress_bar(f"choose {name}") as update:
                 self._choose(name, folder, draws, update)
@@ -175,7 +175,7 @@ def sign_test(
     """Takes one step of the attack's own optimiser, and compares the scores on the step's vehicles.
 
     Each of the `balance_batches` begins anew, on scenes of no step. "p" is the one-sided exact
-    chance of so many fallen scores (binomial; unchanged scores have not fallen).
+    chance of at least so many fallen scores (binomial; unchanged scores have not fallen).
     """
     before: dict[str, list[Tensor]] = {detector.name: [] for detector in detectors}
     after: dict[str, list[Tensor]] = {detector.name: [] for detector in detectors}
@@ -216,7 +216,7 @@ def _compared(before: Tensor, after: Tensor) -> dict[str, Any]:
 def _constraints(
     name: CamouflageName, palette: Tensor | None, settings: CamouflageSettings
 ) -> dict[str, Any]:
-    """What decides a control beside its name and seed, as JSON values."""
+    """Returns what decides a control, apart from its name and seed, as JSON values."""
     return {
         "camouflage": asdict(settings),
         "palette": palette.tolist() if palette is not None and name.takes_palette else None,

@@ -16,7 +16,7 @@ from skyproof.render.frames import Frames
 from skyproof.storage import weights_digest
 
 _FOOLED = 0.03
-"""At this share of the loss without camouflage a vehicle is nearly hidden and left alone."""
+"""At this share of the loss without camouflage, a vehicle is nearly hidden and counts little."""
 
 OBJECTIVES: dict[Method, str] = {
     "skyproof": f"sum over detectors, mean over images: log(weight * loss + {_FOOLED:g})",
@@ -35,7 +35,7 @@ class Objective(NamedTuple):
 def empty_truth_losses(
     detectors: Sequence[TrainableDetector], images: Float[Tensor, "B 3 H W"]
 ) -> dict[str, Float[Tensor, " B"]]:
-    """Each detector's training loss per image if there were no vehicle (section 3.2)."""
+    """Returns each detector's training loss per image as if it showed no vehicle (section 3.2)."""
     nothing = [images.new_zeros(0, 4)] * len(images)
     return {detector.name: detector.loss(images, nothing) for detector in detectors}
 
@@ -47,13 +47,13 @@ def objective(
     images: Float[Tensor, "B 3 H W"],
     method: Method = "skyproof",
 ) -> Objective:
-    """Says how far detectors are from seeing nothing: the sum of their losses' logarithms.
+    """Measures how far detectors are from seeing nothing: the sum of their losses' logarithms.
 
     Objective = sum over detectors of the mean over images of log(weight * loss + 0.03), where the
     loss is the detector's own against an empty truth, and its weight makes it 1 without camouflage.
     A logarithm falls as much from 0.2 to 0.1 as from 2 to 1, so the objective asks in how many
     images a detector is nearly fooled. The paper's sum of losses, which the method "paper" has, is
-    ruled by the images in which a detector is surest. Detectors are frozen, images are sRGB in
+    dominated by the images in which a detector is surest. Detectors are frozen, images are sRGB in
     [0, 1].
     """
     by_detector = empty_truth_losses(detectors, images)
@@ -105,9 +105,9 @@ def balanced_weights(losses: Mapping[str, Sequence[float]]) -> dict[str, float]:
 def target_scores(
     detector: Detector, frames: Frames, gsd_m: float, match: Match = "centre_1m"
 ) -> Float[Tensor, " B"]:
-    """Highest score (a black box: of detections) that finds the image's vehicle by a rule; else 0.
+    """Returns the best score, of candidates or black-box detections, on each image's vehicle; or 0.
 
-    By the main rule its centre is within 1 m, by the lenient rule there or in the vehicle's box.
+    By the main rule their centre is within 1 m, by the lenient rule there or in the vehicle's box.
     """
     candidates = _candidates(detector, frames.image.detach())
     boxes, centres = frames.boxes[:, None], centres_of(candidates.boxes)

@@ -36,14 +36,14 @@ from skyproof.ranges import Fraction, Match
 from skyproof.storage import weights_digest
 
 _GOAL: Match = "centre_in_box"
-"""A detection that finds the vehicle by this rule keeps it from being hidden."""
+"""A vehicle is hidden only if no detection finds it by this rule."""
 _OTHER = "a search with other settings or from another start"
 _SPREAD = 0.2
 """Standard deviation of the first candidates, whose values go from 0 to 1."""
 MOST_NUMBERS = 60
 
-# With as many images, 48 numbers (4 x 4 fields) found nothing better than their start, and 12 (4
-# bands) did: docs/attacks.md.
+# With as many images, a search of 48 numbers (4 x 4 fields) found nothing better than its start,
+# and one of 12 numbers (4 bands) did: docs/attacks.md.
 _TEXTURE_BANDS = 4
 _SHAPE_BANDS = 8
 
@@ -112,7 +112,7 @@ class _Evolution:
         self._strategy.tell(list(zip(self._proposed, scores, strict=True)))
 
     def best(self) -> Camouflage:
-        """Gives the mean of the distribution, which many scenes moved; the best draw is luck."""
+        """Returns the mean of the distribution, which many scenes moved; the best draw is luck."""
         return self._change(self._strategy.mean)
 
 
@@ -200,17 +200,17 @@ def query_attack(
     changes = few_colours or start.name.choice == "search"
     search = (_RandomChanges if changes else _Evolution)(start, settings.seed)
     held_out = HeldOut([detector], world, settings.seed, settings.batch_size, _GOAL)
-    # Without camouflage and in each; a control has no start to return to.
+    # Scenes without camouflage and with each compared one; a control has no start to return to.
     others = [each for each in (start, rival) if each is not None]
     compared = 0 if start.name.choice else (2 + len(others)) * held_out.scenes()
-    each = search.candidates * settings.batch_size
-    generations = (settings.images - compared) // each
+    per_step = search.candidates * settings.batch_size
+    generations = (settings.images - compared) // per_step
     if generations < 1:
         raise ConfigurationError(
-            f"{start.name} expects at least {compared + each} images to be queried, got "
+            f"{start.name} expects at least {compared + per_step} images to be queried, got "
             f"{settings.images}; allow more, or smaller batches."
         )
-    total = generations * each + compared
+    total = generations * per_step + compared
     remedy = f"remove {folder} and search again"
     loop = Loop(folder, identity, generations, 1, {"start": start}, other=_OTHER, remedy=remedy)
     with alone(folder):
@@ -218,16 +218,16 @@ def query_attack(
             return _finished(folder, identity)
         loop.resume()
         for row in loop.rows:
-            # Seed and scores decide a search, so it is repeated rather than stored.
+            # Seed and scores decide a search, so it is replayed rather than stored.
             search.propose()
             search.learn(_stored_scores(row, search.candidates, folder, remedy))
         for step in loop:
             scores = _try(search.propose(), detector, world, settings, step)
             search.learn(scores)
-            images = step * each
+            images = step * per_step
             loop.report({"step": step, "images": images, "loss": min(scores), "scores": scores})
             for number in settings.keep_at:
-                if images - each < number <= images:
+                if images - per_step < number <= images:
                     kept = search.best()
                     kept.name = start.name.after_queries(number)
                     record = {"of": str(start.name), "images": images}

@@ -16,7 +16,7 @@ Method = Literal["skyproof", "paper"]
 _SEARCH_BATCH_SIZE = 8
 _PLAIN_PAINTS = 27
 _CHOICE_SCENES = 32
-"""On average: all candidates are tried on 16, the best quarter of them on 64 more."""
+"""Mean number per candidate: all are tried on 16, the best quarter of them on 64 more."""
 _WITHOUT_GRADIENT = 0.4
 
 
@@ -66,7 +66,7 @@ class AttackSettings:
             )
 
     def takes_palette(self, name: CamouflageName) -> bool:
-        """Whether a camouflage takes the given palette, by the paper's method fixed colours."""
+        """Whether a camouflage takes the palette; by the paper's method only fixed colours do."""
         fixed = name.constraints is not None and name.constraints.colours == "fixed"
         return name.takes_palette and (fixed or self.method == "skyproof")
 
@@ -78,7 +78,7 @@ class AttackSettings:
         return self.steps * self.batch_size * (_WITHOUT_GRADIENT if name.choice else 1.0)
 
     def of_search(self) -> "AttackSettings":
-        """The settings of a random search: as many images, in larger steps, less ruled by luck."""
+        """The settings of a random search: as many images, in larger steps that need less luck."""
         images = self.steps * self.batch_size
         batch_size = min(max(self.batch_size, _SEARCH_BATCH_SIZE), images)
         return replace(self, steps=images // batch_size, batch_size=batch_size, keep_at=())

@@ -1,4 +1,4 @@
-"""Camouflages: what is done to a vehicle's texture or shape, optimised or drawn at random.
+"""Camouflages: changes of a vehicle's texture or shape, optimised or drawn at random.
 
-Here stand their names, how each changes vehicles, how it is stored, and what it would cost to make.
+The package holds their names, how they change vehicles, how they are stored, and what they cost.
 """

@@ -14,7 +14,7 @@ class Camouflage(nn.Module):
     """Changes vehicles' texture or shape; an attack optimises its parameters.
 
     Attributes:
-        name: "T-U", "R-U-0": as tables show it.
+        name: as tables show it, such as "T-U" or "R-U-0".
         learning_rates: multiples of the attack's learning rate by parameter name.
     """
 
@@ -26,23 +26,23 @@ class Camouflage(nn.Module):
         raise NotImplementedError
 
     def paper_form_(self, on: bool) -> None:
-        """Turns to the form that the paper's method optimises, or back to the stored one.
+        """Switches to the form that the paper's method optimises, or back to the stored one.
 
-        Turning back changes no picture. A camouflage without a second form stays as it is.
+        Switching back changes no picture. A camouflage without a second form stays as it is.
         """
 
     def before_step_(self, step: int, steps: int) -> None:
         """Sets what depends on the attack's progress, such as a temperature, before each step."""
 
     def project_(self) -> None:
-        """Puts the parameters back into what is allowed; called after every optimiser step."""
+        """Moves the parameters back into their range; called after every optimiser step."""
 
     def vary_(self, generator: torch.Generator) -> None:
         """Changes a part of a finished camouflage at random, for a random search."""
         raise NotImplementedError
 
     def finalise(self) -> None:
-        """Makes the camouflage exactly as it is stored, such as colours of 8 bits, at the end."""
+        """Turns the camouflage into exactly what is stored, such as 8-bit colours, at the end."""
 
 
 def random_part(size: int, *, generator: torch.Generator) -> tuple[slice, slice]:

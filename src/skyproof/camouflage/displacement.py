@@ -59,7 +59,7 @@ class DisplacementMap(Camouflage):
         self.reach = nn.Parameter(start)
 
     def forward(self, vehicles: VehicleBatch) -> VehicleBatch:
-        """Deforms the vehicles; at PM = 0 they are handed through, without a gradient."""
+        """Deforms the vehicles; at PM = 0 they are returned as they are, without a gradient."""
         if self.magnitude == 0.0:
             return vehicles
         return replace(vehicles, vertices=vehicles.vertices + self._offsets(vehicles))
@@ -71,7 +71,7 @@ class DisplacementMap(Camouflage):
 
     @torch.no_grad()
     def paper_form_(self, on: bool) -> None:
-        """Makes `reach` what the sigmoid is taken of, or D again."""
+        """Turns `reach` into the argument of the sigmoid, or back into D."""
         if on != self._in_paper_form:
             self.reach.copy_(torch.logit(self.reach, eps=1e-6) if on else self.map())
             self._in_paper_form = on
@@ -83,7 +83,7 @@ class DisplacementMap(Camouflage):
 
     @torch.no_grad()
     def vary_(self, generator: torch.Generator) -> None:
-        """Moves a rectangle and its mirror image to another place between in and out."""
+        """Sets a rectangle and its mirror image to another displacement, drawn at random."""
         rows, columns = random_part(DISPLACEMENT_SIZE, generator=generator)
         value = float(torch.rand((), generator=generator))
         self.reach[rows, columns] = value

@@ -104,7 +104,7 @@ def _read(folder: str | Path) -> _StoredCamouflage:
 
 
 def _misfit(wanted: Mapping[str, Tensor], given: Mapping[str, Tensor]) -> str:
-    """Says in a few words the first difference between two sets of tensors; else nothing."""
+    """Names the first difference between two sets of tensors; empty if there is none."""
     for name, tensor in wanted.items():
         if name not in given:
             return f"it lacks {name}"
@@ -114,7 +114,7 @@ def _misfit(wanted: Mapping[str, Tensor], given: Mapping[str, Tensor]) -> str:
 
 
 def describe_camouflage(camouflage: Camouflage) -> dict[str, Any]:
-    """Gives what builds a camouflage again beside its tensors, as JSON values."""
+    """Returns what, besides its tensors, is needed to build a camouflage again, as JSON values."""
     described: dict[str, Any] = msgspec.to_builtins(_described(camouflage))
     return described
 

@@ -56,7 +56,7 @@ class Combination(Camouflage):
         self.shape.paper_form_(on)
 
     def before_step_(self, step: int, steps: int) -> None:
-        """Says whose turn it is to be optimised; the texture begins."""
+        """Sets which part is optimised in this step; the texture begins."""
         if self.turn_steps is not None:
             texture_turn = (step - 1) // self.turn_steps % 2 == 0
             self.texture.requires_grad_(texture_turn)
@@ -65,13 +65,13 @@ class Combination(Camouflage):
         self.shape.before_step_(step, steps)
 
     def project_(self) -> None:
-        # By the paper's method a softmax on the shape's turns would make the texture forget.
+        # By the paper's method, a softmax in the shape's turns would wash out the texture.
         if self.texture.cells.requires_grad:
             self.texture.project_()
         self.shape.project_()
 
     def vary_(self, generator: torch.Generator) -> None:
-        """Changes texture or shape, each as often."""
+        """Changes the texture or the shape, each equally often."""
         part = self.texture if torch.rand((), generator=generator) < 0.5 else self.shape
         part.vary_(generator)
 
@@ -132,7 +132,7 @@ def draw_control(name: CamouflageName, *, seed: int, **given: Any) -> Camouflage
 def make_candidates(
     name: CamouflageName, draws: int, *, seed: int, **given: Any
 ) -> list[Camouflage]:
-    """Candidates of a chosen control: 27 paints and an even shape, random draws, or patterns."""
+    """Makes a chosen control's candidates: plain paints, even shape, random draws or patterns."""
     if name.choice == "pattern":
         if name.constraints is None or given["palette"] is None:
             raise ConfigurationError(f"{name} expects colours; give them with --palette.")

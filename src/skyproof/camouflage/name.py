@@ -170,7 +170,7 @@ class CamouflageName:
                 f"{text[:200]} would choose among draws of a shape on one texture; give "
                 f"{replace(name, order=None)}."
             )
-        # It becomes a folder's.
+        # The text becomes the name of a folder.
         if not is_name(text) or not is_name(str(name)):
             raise ConfigurationError(
                 f"{text[:200]!r} names no camouflage: expected at most 150 characters without "
@@ -193,7 +193,7 @@ class CamouflageName:
         return name if str(name) == text else cls("other", random=name.random, label=text)
 
     def __str__(self) -> str:
-        """The name as tables show it and folders bear it."""
+        """The name in tables and of folders."""
         variant = f"_{self.variant}" if self.variant else ""
         repeat = f"-{self.repeat}" if self.repeat else ""
         at = "" if self.magnitude is None else f"@{self.magnitude:g}"
@@ -297,7 +297,7 @@ class CamouflageName:
     def takes_palette(self) -> bool:
         """Whether its colours come from a palette (Fc), or are optimised from there (Lc, Pix).
 
-        Random controls draw others freely; a sequential shape takes the texture of another attack.
+        Random controls draw colours freely; a sequential shape takes the texture of another attack.
         """
         if self.constraints is None or self.order == "seq":
             return False
@@ -328,7 +328,7 @@ class CamouflageName:
         return tuple(map(CamouflageName.with_variant, controls, CHOICES))
 
     def meets(self, other: CamouflageName) -> bool:
-        """Whether every camouflage of this name is one of the other, too: "T-PixFcMa" of "T-Ma"."""
+        """Whether every camouflage of this name is also one of the other: "T-PixFcMa" of "T-Ma"."""
         own, wider = self.constraints, other.constraints
         if own is None or wider is None:
             within = own is wider
@@ -370,7 +370,7 @@ def _plain(constraints: TextureConstraints | None) -> TextureConstraints | None:
 def chosen_controls(
     attacks: Mapping[CamouflageName, int], searches: int = 1
 ) -> dict[CamouflageName, int]:
-    """Gives every chosen control of some attacks the steps of the longest attack beside it.
+    """Maps every chosen control of some attacks to the steps of the longest attack that has it.
 
     Several searches are numbered as repeats. One start alone moves what a search finds by 14 to 20
     points.

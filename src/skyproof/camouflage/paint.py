@@ -30,7 +30,7 @@ TWO_TONES: tuple[tuple[Colour, Colour], ...] = tuple(
 
 
 def plain_paint(colour: Colour, *, masked: bool) -> UniversalTexture:
-    """One colour as a finished texture on painted panels (Ma) or everywhere."""
+    """Returns one colour as a finished texture, on painted panels (Ma) or everywhere."""
     srgb = torch.tensor(colour).view(3, 1, 1) / 255
     return finished_paint(f"plain_{bytes(colour).hex()}", srgb, masked=masked)
 
@@ -48,7 +48,7 @@ def two_tone_paint(upper: Colour, lower: Colour) -> UniversalTexture:
 def finished_paint(
     variant: str, srgb: Tensor, *, masked: bool, repeat: str = ""
 ) -> UniversalTexture:
-    """A finished texture of these colours, on painted panels or everywhere."""
+    """Returns a finished texture of these colours, on painted panels or everywhere."""
     constraints = TextureConstraints(masked=masked)
     name = CamouflageName("texture", constraints, random=True, variant=variant, repeat=repeat)
     paint = UniversalTexture(name, generator=torch.Generator())

@@ -1,4 +1,4 @@
-"""Few colours that stand for many: K-means over the pixels of the ground, in CIELAB."""
+"""Palettes: a few colours that represent the ground, by K-means over its pixels in CIELAB."""
 
 import math
 from pathlib import Path
@@ -19,19 +19,19 @@ from skyproof.scenes.backgrounds import BackgroundSet
 
 _PIXELS_PER_TILE = 4000
 _PIXELS = 400_000
-"""Of all tiles together, about: more change no colour, and country-wide ground has many tiles."""
+"""Rough number from all tiles: more change no colour, and country-wide ground has many tiles."""
 
 _Byte = Annotated[int, Meta(ge=0, le=255)]
 
 
 class _Palette(msgspec.Struct):
-    """A palette file; what else a user keeps in it is skipped."""
+    """A palette file; whatever else a user keeps in it is ignored."""
 
     colours_srgb: Annotated[list[tuple[_Byte, _Byte, _Byte]], Meta(min_length=2, max_length=256)]
 
 
 def fit_palette(pixels: Float[Tensor, "P 3"], colours: int) -> Float[Tensor, "K 3"]:
-    """Colours of 8 bits by K-means in CIELAB (section 5.4), the most frequent first."""
+    """Finds 8-bit colours by K-means in CIELAB (section 5.4), the most frequent first."""
     distinct = len(torch.unique((pixels * 255).round(), dim=0))
     if distinct < colours:
         raise ConfigurationError(
@@ -49,7 +49,7 @@ def fit_palette(pixels: Float[Tensor, "P 3"], colours: int) -> Float[Tensor, "K 
 
 
 def ground_palette(backgrounds: BackgroundSet, colours: int = 5) -> Float[Tensor, "K 3"]:
-    """The colours of the ground in attacks, evenly from all of its tiles, as of `fit_palette`."""
+    """Fits a palette to the ground of attacks, with equally many pixels from each of its tiles."""
     tiles = max(1, len(backgrounds.tiles("attack")))
     per_tile = min(_PIXELS_PER_TILE, math.ceil(_PIXELS / tiles))
     pixels = backgrounds.sample_pixels("attack", per_tile, generator=generator_of(0, "palette"))

@@ -104,9 +104,9 @@ PATTERNS = tuple(_PATTERNS)
 def draw_pattern(
     kind: str, palette: Float[Tensor, "K 3"], *, seed: int, draw: int, masked: bool = False
 ) -> UniversalTexture:
-    """Draws a pattern of `PATTERNS` over vehicle or painted panels, in a palette's sRGB colours.
+    """Draws a pattern of `PATTERNS` over a vehicle or its panels, in a palette's sRGB colours.
 
-    A precheck and the choice of a control of one seed have the same draws.
+    With the same seed, a precheck and the choice of a control have the same draws.
     """
     generator = generator_of(seed, "gate", kind, str(draw))
     rng = np.random.default_rng(int(torch.randint(2**62, (1,), generator=generator)))

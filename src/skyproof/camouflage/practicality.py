@@ -28,7 +28,7 @@ _BLOCK_REGIONS = ("roof", "bonnet", "sides")
 
 
 def score_practicality(texture: TextureConstraints | None, shape_changed: bool) -> dict[str, Any]:
-    """The paper's rules (section 4).
+    """Returns the signs by the paper's rules (section 4).
 
     - Installation is + with Pix, as blocks can be stuck on or painted one by one, otherwise −.
     - Operation is + with Ma, as windows, lights and wheels stay free, otherwise −.
@@ -54,7 +54,7 @@ def score_practicality(texture: TextureConstraints | None, shape_changed: bool) 
 
 @torch.no_grad()
 def practicality_account(camouflage: Camouflage, vehicles: VehicleBatch) -> dict[str, Any]:
-    """Signs and measured means over the vehicles of a camouflage; None for unchanged sides."""
+    """Returns a camouflage's signs, and measured means over vehicles; None for unchanged sides."""
     parts = [camouflage]
     if isinstance(camouflage, Combination):
         parts = [camouflage.texture, camouflage.shape]

@@ -35,9 +35,9 @@ _WIDEST_HUE = 20.0
 
 
 class RandomPatterns:
-    """Gives vehicles that are marked so random controls (section 5.4) of textures.
+    """Puts random controls of textures (section 5.4) on the vehicles that are marked for them.
 
-    Every image shows new ones, because a detector may learn a few hundred by heart. The ids of the
+    Every image shows new ones, because a detector may memorise a few hundred. The ids of the
     vehicles shown together seed the draws, so that the same images come back.
     """
 
@@ -57,7 +57,7 @@ class RandomPatterns:
 
 
 def wear_random_shapes(fleet: Fleet, *, generator: torch.Generator) -> Fleet:
-    """Gives vehicles that are marked so random shapes (R-S-O)."""
+    """Puts random shapes (R-S-O) on the vehicles that are marked for them."""
     vertices = fleet.vertices.clone()
     low, high = _MAGNITUDES
     for name in _marked(fleet, "shape", "random"):

@@ -19,7 +19,7 @@ Blocks = Annotated[int, Meta(ge=1, le=_MAP_TEXELS)]
 
 @dataclass(frozen=True)
 class CamouflageSettings:
-    """The numbers of a camouflage that its name does not tell; the defaults are the paper's.
+    """The numbers of a camouflage that its name does not state; the defaults are the paper's.
 
     Attributes:
         colours: number of colours of Lc and Fc (section 5.4).

@@ -12,11 +12,11 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
 from skyproof.vehicles.vehicle import TEXTURE_SIZE, Overlay, Part, VehicleBatch
 
-# Of w = softmax(logits / temperature): from nearly free mixing to nearly one colour a texel.
+# In softmax(logits / temperature): from nearly free mixing to nearly one colour per texel.
 _FIRST_TEMPERATURE = 1.0
 _LAST_TEMPERATURE = 0.1
 _PAPER_TAU = 0.5  # which the paper does not give
-# Of optimised colours around those they begin at, in sRGB.
+# Standard deviation, in sRGB, of optimised colours at the start around the given palette.
 _PALETTE_SD = 0.05
 
 
@@ -29,8 +29,8 @@ class UniversalTexture(Camouflage):
 
     With a palette every cell holds one logit per colour and shows the mixture softmax(logits /
     temperature). The temperature falls geometrically during an attack, and `finalise` keeps the
-    most likely colour. A given palette is that of fixed colours, or the start of an optimised one
-    or of free cells, which else are drawn uniformly.
+    most likely colour. A given palette has the fixed colours, or those at which optimised colours
+    or free cells start, which are otherwise drawn uniformly.
 
     Differences from the paper: logits and annealing replace s(s(p)), which loses most of the
     optimisation (docs/attacks.md). Palettes are optimised in sRGB. The method "paper" has s(s(p)),
@@ -125,7 +125,7 @@ class UniversalTexture(Camouflage):
         return (self.map().detach().clamp(0, 1) * 255).round().byte()
 
     def mask(self, vehicles: VehicleBatch) -> Tensor | None:
-        """The place of the map, `[N, 512, 512]` bools; None for everywhere."""
+        """Returns where the map applies, as `[N, 512, 512]` bools; None for everywhere."""
         if not self.constraints.masked:
             return None
         mask = vehicles.parts == Part.BODY
@@ -138,7 +138,7 @@ class UniversalTexture(Camouflage):
         return mask
 
     def forward(self, vehicles: VehicleBatch) -> VehicleBatch:
-        """Gives the vehicles this map as their texture, or over their own where painted."""
+        """Puts this map on the vehicles as their texture, or over their own on painted panels."""
         mask = self.mask(vehicles)
         if mask is None:
             return replace(vehicles, texture=self.map()[None], overlay=None, repainted=True)
@@ -146,7 +146,7 @@ class UniversalTexture(Camouflage):
 
     @torch.no_grad()
     def paper_form_(self, on: bool) -> None:
-        """Makes cells of few colours probabilities p, or logits again.
+        """Turns the cells of a palette into probabilities p, or back into logits.
 
         s(s(p)) is softmax(ln(p) / τ²), the usual mixture of logits ln(p) at a fixed temperature.
         """
@@ -172,7 +172,7 @@ class UniversalTexture(Camouflage):
 
     @torch.no_grad()
     def vary_(self, generator: torch.Generator) -> None:
-        """Gives a rectangle one other colour; a quarter of changes are of an optimised palette."""
+        """Recolours a rectangle or, in a quarter of changes, an entry of an optimised palette."""
         if self.constraints.colours == "learnt" and torch.rand((), generator=generator) < 0.25:
             row = int(torch.randint(len(self.palette), (), generator=generator))
             self.palette[row] = torch.rand(3, generator=generator).to(self.palette)

@@ -1,1 +1,1 @@
-"""Hardening: trains a detector further, so that it withstands attacks. Nothing else imports it."""
+"""Trains a detector further, so that it withstands attacks. No other package imports this one."""

@@ -33,7 +33,7 @@ class Harden:
     seed: Seed = 0
 
     def run(self) -> None:
-        """Does all steps that are not finished yet, and says what to do next."""
+        """Runs all unfinished steps, and says what to do next."""
         from skyproof.hardening.harden import harden_run
 
         harden_run(self)

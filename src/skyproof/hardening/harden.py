@@ -38,14 +38,14 @@ from skyproof.seeds import next_seed
 
 _TILES, _VEHICLES, _VALIDATION_SCENES = (1, 1, 480, 1), (200, 1, 1, 1), 120
 _IMAGES_PER_STEP, _LEARNING_RATE, _JITTER = 16, 1e-3, 2.0
-# Larger networks learn at a fifth of the rate, as is usual; that is not measured here.
+# Larger networks learn at a fifth of the rate, as is usual; this was not measured here.
 _FEW_PARAMETERS = 10_000_000
 _DRAWN_PX, _OTHER_GROUND = 192, 1_000_003
 _REMEDY = "give a run of skyproof assess"
 
 
 def harden_run(request: Harden) -> None:
-    """Does all steps that are not finished, as `Harden` says."""
+    """Runs all unfinished steps, as `Harden` describes."""
     layout, out = Layout(request.run_folder), Layout(request.out)
     config: dict[str, Any] = read_document(layout.config, dict[str, Any], _REMEDY)
     names = config.get("names", [])

@@ -33,9 +33,9 @@ _PAINTED, _CAMOUFLAGED = 400, 800
 
 
 def strongest(results: Results) -> list[str]:
-    """Gives the folders of at most two attacks, as the report names them, and of one control.
+    """Returns the folders of at most two attacks, as the report names them, and of one control.
 
-    ConfigurationError where no attack surely hides anything.
+    Raises ConfigurationError if no attack surely hides anything.
     """
     found = hardening(results, results.quoted)
     if found is None:
@@ -84,7 +84,7 @@ def render_images(
             with progress_bar(f"render {name}") as update:
                 render_dataset(
                     out.dataset(name),
-                    # Their names differ from folder to folder, so that all can be put into one.
+                    # Image names differ between folders, so that all images can be put into one.
                     sampled_scenes(
                         settings, ground, fleet, "attack", count, request.seed, name=name
                     ),
@@ -105,7 +105,7 @@ def render_images(
 
 
 def refuse_other_images(request: Harden, card: DetectorCard, names: list[str]) -> None:
-    """Refuses what would mix images of two assessments, and options without effect."""
+    """Refuses to mix images of two assessments, and refuses options without effect."""
     layout, out = Layout(request.run_folder), Layout(request.out)
     if request.data or request.steps != Harden.steps:
         raise ConfigurationError(

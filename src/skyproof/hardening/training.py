@@ -40,9 +40,9 @@ _ALIVE, _LIFE_STEPS = 4, 80
 _KEPT, _KEPT_SHARE = 12, 0.3
 _CLIMB = AttackSettings(learning_rate=0.1)
 WEATHER = ("clear", "haze", "overcast", "exposure", "noise", "jpeg", "low_sun", "low_sun")
-# With half of the parent's weights less AP on photographs is lost (docs/detectors.md).
+# With half of the parent's weights, less AP on photographs is lost (docs/detectors.md).
 _PARENT_SHARE = 0.5
-# Of images without optimised camouflage; and vehicles on an image as small as those of attacks.
+# Share of the plain images without vehicles; most vehicles on an image as small as in attacks.
 EMPTY_SHARE, _MOST_VEHICLES = 0.5, 3
 
 
@@ -68,7 +68,7 @@ def harden(
     The result is the mean of the parent's weights and the averaged ones of the last step (Wortsman
     et al. 2022, "Robust fine-tuning of zero-shot models"). Scores on images without camouflage
     choose no step, because they say nothing about robustness. A stopped hardening continues, and
-    fails, as `train` does.
+    raises errors, as `train` does.
 
     Args:
         detector: a detector with its card, on the device to work on.
@@ -93,7 +93,7 @@ def harden(
     }
     worn = _Worn(seed, ground_palette(world.backgrounds), device)
 
-    def lessons(steps: range) -> Iterator[Tensor]:
+    def take_steps(steps: range) -> Iterator[Tensor]:
         make = partial(_plain_batches, world, photographs, settings, seed)
         for step, batches in zip(steps, made_ahead(make, steps), strict=True):
             draw = generator_of(seed, "attacked", step)
@@ -126,7 +126,7 @@ def harden(
         settings,
         folder,
         identity,
-        lessons,
+        take_steps,
         card,
         on_step,
         {"worn": worn},

@@ -1,4 +1,4 @@
-"""Detectors measured: scenes are drawn with and without a change, and detections matched.
+"""Measures detectors on scenes with and without a change, and matches detections with vehicles.
 
-Rates, intervals and decisions are made of the outcomes in `results`, which loads no torch.
+The package `results`, which loads no torch, makes rates, intervals and decisions of the outcomes.
 """

@@ -1,4 +1,4 @@
-"""Baselines: detectors on images without camouflage, photographs above all."""
+"""Baselines: what detectors find without camouflage, on photographs above all."""
 
 import re
 from collections.abc import Sequence
@@ -95,7 +95,7 @@ def _measure(detector: Detector, images: BaselineSet, view: SceneView, seed: int
 
 
 def _share(vehicles: Bool[np.ndarray, " T"]) -> float:
-    """The share of the vehicles that are meant; nan without a vehicle."""
+    """Returns the share of vehicles that are marked; nan without a vehicle."""
     return float(vehicles.mean()) if len(vehicles) else float("nan")
 
 
@@ -184,7 +184,7 @@ class _FramesArgument:
 
     @property
     def border_px(self) -> float:
-        """The unlabelled border: none in our own datasets, where every vehicle is labelled."""
+        """The unlabelled border; none in skyproof's datasets, where every vehicle is labelled."""
         ours = self.labels is None and (self.folder / "annotations.json").is_file()
         return 0.0 if ours else BORDER_PX
 
@@ -193,9 +193,9 @@ def read_frames(texts: Sequence[str], classes: Sequence[str], gsd_m: float) -> l
     """Reads frames given as `[NAME=]FOLDER[/PATTERN][:LABELS]@GSD[#CLASS,...]`.
 
     An example is `kit/MOS*@0.116#car,minibus`. Without classes of its own a set has `classes`.
-    LABELS (COCO file, folder of other labels) is needed if they do not lie with the images.
-    Arguments of the same NAME are one set. Each argument counts as one place; in a set that
-    `skyproof ground` cut, each source.
+    LABELS (COCO file, folder of other labels) is needed if labels do not lie with the images.
+    Arguments of the same NAME are one set. Each argument counts as one place or, in a set that
+    `skyproof ground` cut, each source does.
     """
     by_name: dict[str, list[_FramesArgument]] = {}
     for text in texts:

@@ -48,11 +48,11 @@ class _Kind:
 
     @property
     def shown(self) -> set[str]:
-        """The tiles on which a whole vehicle is."""
+        """The tiles that show at least one whole vehicle."""
         return {tile for tile, whole in zip(self.tiles, self.whole, strict=True) if whole.any()}
 
     def seen(self, detector: Detector, match: Match, numbers: Mapping[str, int]) -> "_Seen":
-        """The whole vehicles on numbered tiles."""
+        """Returns the whole vehicles on numbered tiles, as a detector sees them."""
         matches = self.view.matched(detector.name, match)
         places = zip(matches.image_of_vehicle, matches.index_of_vehicle, strict=True)
         tiles = [
@@ -154,19 +154,19 @@ def _median(scores: Float[np.ndarray, " N"]) -> float:
 
 
 def _is_whole(boxes: Float[Tensor, "n 4"], size_px: tuple[int, int]) -> Bool[Tensor, " n"]:
-    """Which vehicles are in sight and touch no border, where detectors see half of them."""
+    """Returns which vehicles are in sight and touch no border, where only a part is visible."""
     inside = (boxes[:, :2] > _BORDER_PX) & (boxes[:, 2:] < torch.tensor(size_px) - _BORDER_PX)
     return (inside & (boxes[:, 2:] > boxes[:, :2])).all(dim=1)
 
 
 def _look(kind: _Kind, tiles: Collection[str]) -> Look | None:
-    """What the boxes of whole vehicles on some tiles hold; None without any."""
+    """Measures the look of the whole vehicles on some tiles; None without any."""
     images = kind.view.images
     rows = []
     for index, (tile, whole) in enumerate(zip(kind.tiles, kind.whole, strict=True)):
         if tile not in tiles or not whole.any():
             continue
-        # Of scenes, images are rendered on demand.
+        # Images of scenes are rendered on demand.
         pixels = images.image(index).cpu().permute(1, 2, 0)
         for left, top, right, bottom in images.boxes[index][whole].tolist():
             across, down = (

@@ -1,4 +1,4 @@
-"""The one way to measure: every vehicle without and with each change, before every detector."""
+"""The measurement that all tests share: every vehicle without and with each change."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -31,7 +31,7 @@ def measure(
     device: torch.device | str = "cpu",
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Outcome]:
-    """Tests every vehicle twice, without and with each camouflage, before every detector.
+    """Tests every detector on every vehicle, without and with each camouflage.
 
     Args:
         detectors: detectors with cards.
@@ -77,14 +77,14 @@ def compare(
     renderer: str,
     matches: Sequence[Match] = MATCHES,
 ) -> list[Outcome]:
-    """The outcomes of one detector under one change, by each rule for every vehicle in sight."""
+    """Returns a detector's outcomes under one change, by each rule for every vehicle in sight."""
     outcomes = []
     for match in matches:
         first, second = (view.matched(detector.name, match) for view in (before, after))
         found_after = _vehicles(second, detector.threshold)
         for (image, index), found_before in _vehicles(first, detector.threshold).items():
             scene = scenes[image]
-            then = found_after.get((image, index), _OUT_OF_SIGHT)
+            changed = found_after.get((image, index), _OUT_OF_SIGHT)
             outcomes.append(
                 Outcome(
                     scene=scene.id,
@@ -94,11 +94,11 @@ def compare(
                     detector=detector.name,
                     match=match,
                     detected_original=found_before[0],
-                    detected_adversarial=then[0],
+                    detected_adversarial=changed[0],
                     score_original=found_before[1],
-                    score_adversarial=then[1],
+                    score_adversarial=changed[1],
                     distance_original_m=found_before[2],
-                    distance_adversarial_m=then[2],
+                    distance_adversarial_m=changed[2],
                     visible_fraction=float(before.images.visible_fractions[image][index]),
                     **_situation(scene, scene.placements[index]),
                 )

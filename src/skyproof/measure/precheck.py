@@ -53,7 +53,7 @@ from skyproof.vehicles.fleet import Fleet
 from skyproof.words import detector_name, hides, interval, percent
 
 BLURS_PX = (0.4, 0.7, 1.0, 1.4)
-"""From the sharpest to the softest aerial photographs that we know, in pixels (sigma)."""
+"""Sigmas of blur, from the sharpest to the softest aerial photographs that we know."""
 
 CONTROLS = ("R-U", "R-Pix", "R-Fc", "R-PixFc", "R-Lc", "R-S-O@0.4", *PATTERNS)
 
@@ -106,9 +106,10 @@ def precheck(
     """Measures what plain changes hide from every detector, and its baselines.
 
     The scenes are rendered as they are, then once under each change: 27 plain paints on body panels
-    and 27 on the whole vehicle, eight two-tone paints, four sharpnesses, ten random controls, four
-    suns. Rates are by centres within 1 m at the frozen threshold. Nothing is written. `progress` is
-    called with (images done, images in all). `skyproof.results.precheck` judges the records.
+    and 27 on the whole vehicle, eight two-tone paints, four blurs, ten random controls, four
+    elevations of the sun. Rates are by centres within 1 m at the frozen threshold. Nothing is
+    written. `progress` is called with (images done, images in all). `skyproof.results.precheck`
+    judges the records.
     """
     scenes, seed = data.scenes, data.seed
     for each in data.frames:
@@ -192,7 +193,7 @@ def _rates(
     changed: Iterable[SceneView],
     seed: int,
 ) -> dict[str, tuple[list[Rate], list[int]]]:
-    """The rates by detector, and the vehicles that it found before on each tile.
+    """Returns by detector its rates, and the vehicles that it found before on each tile.
 
     The draws of one control are averaged and taken as given.
     """
@@ -223,21 +224,21 @@ def _digest(*values: Any) -> str:
 
 
 def precheck_lines(record: PrecheckRecord, doubts: Sequence[str] = ()) -> list[str]:
-    """Tells in a few lines what was measured, the findings, and the doubts of the card."""
+    """Returns a few lines on what was measured, the findings, and the doubts on the card."""
     found = findings(record)
-    told = [
+    lines = [
         f"{detector_name(record.detector)}: {worst(found).outcome.upper()} "
         f"({record.measured_on.scenes} scenes, threshold {record.threshold:.3f})"
     ]
     for check, finding in zip(record.sets, found, strict=False):
-        told += _told(check.dataset, finding, _set(check))
+        lines += _told(check.dataset, finding, _set(check))
     for finding in found[len(record.sets) :]:
-        told += _told(finding.criterion, finding, _changes(finding))
+        lines += _told(finding.criterion, finding, _changes(finding))
     alike = record.likeness_by_main_rule
     sentences = [*([alike.sentence] if alike else []), *doubts, *misfit_thresholds(record.sets)]
     for sentence in sentences:
-        told += wrap(f"  {sentence}", _WIDTH, subsequent_indent="  ")
-    return told
+        lines += wrap(f"  {sentence}", _WIDTH, subsequent_indent="  ")
+    return lines
 
 
 def _told(title: str, finding: Finding, words: str) -> list[str]:

@@ -75,8 +75,8 @@ def score(
     """Writes a score folder: outcomes, baselines and pictures, whole or not at all.
 
     Without a stage no scenes are rendered; `unchanged` are the scenes as they are, if they are
-    rendered already. The sources are the ground's, or ["procedural"]. `worn` are the camouflages by
-    their folders, if their looks are to be kept. `progress` gets (images done, images in all). The
+    rendered already. The sources are the ground's, or ["procedural"]. `worn` has the camouflages by
+    folder, if pictures of them are to be kept. `progress` gets (images done, images in all). The
     outcomes come detector by detector, then change by change.
     """
     refuse_twice("detectors", [each.name for each in detectors])
@@ -132,7 +132,7 @@ def score(
 def _refuse_other_rendering(
     unchanged: Dataset, scenes: Sequence[Scene], stage: SceneRenderer
 ) -> None:
-    """Pairs may differ in camouflage and in nothing else."""
+    """Refuses unchanged images that differ from the scenes in more than the camouflage."""
     drawn = [(scene.id, len(scene.placements)) for scene in scenes]
     if drawn != list(zip(unchanged.ids, map(len, unchanged.boxes), strict=True)):
         raise StoredFileError(
@@ -155,7 +155,7 @@ def _refuse_other_rendering(
 
 @dataclass(frozen=True)
 class _Writer:
-    """Takes one view after the other, and keeps of each what the score folder holds."""
+    """Takes one view after another, and keeps what the score folder holds of each."""
 
     _folder: Path
     _detectors: Sequence[Detector]
@@ -163,7 +163,7 @@ class _Writer:
     _renderer: str
     _before: SceneView
     _pairs: list[Pair] = field(default_factory=list)
-    # Tables go by detectors before they go by camouflages.
+    # Tables are ordered by detector, then by camouflage.
     _outcomes: dict[str, list[Outcome]] = field(default_factory=lambda: defaultdict(list))
     _sets: dict[str, list[SetScore]] = field(default_factory=lambda: defaultdict(list))
 
@@ -271,7 +271,7 @@ class _Writer:
 
 
 def _add_patterns(folder: Path, worn: Mapping[Path, Camouflage], fleet: Fleet) -> None:
-    """Adds what the pictured camouflages look like, and what they ask of their makers."""
+    """Adds pictures of the pictured camouflages, and the effort of making them."""
     vehicles = fleet.batch(fleet.ids)
     rows = []
     for place, camouflage in worn.items():
@@ -290,8 +290,9 @@ def _add_patterns(folder: Path, worn: Mapping[Path, Camouflage], fleet: Fleet) -
 
 
 def choose_scenes(scenes: Mapping[str, Sequence[Outcome]]) -> dict[str, str]:
-    """Chooses scenes to show, with reasons: the first six by SHA-256 of their id, then the ones
-    with most and with fewest vehicles hidden.
+    """Chooses scenes to show, and says why each was chosen.
+
+    These are the first six by SHA-256 of their id, then those with most and fewest hidden vehicles.
     """
     order = sorted(scenes, key=lambda scene: hashlib.sha256(scene.encode()).hexdigest())
     chosen = dict.fromkeys(order[:_COUNT], "Chosen by hash")
@@ -338,7 +339,7 @@ def _nearest(
     box: Float[np.ndarray, " 4"],
     score: float,
 ) -> int:
-    """Finds a vehicle's detection: the one with its score, among several the nearest."""
+    """Finds a vehicle's detection: the one with its score, or the nearest of several such."""
     centre = box.reshape(2, 2).mean(axis=0)
 
     def difference(index: int) -> tuple[float, float]:

@@ -44,7 +44,7 @@ class SceneChange:
     other_classes: bool = False  # whether objects of other classes are looked for, too
 
     def lit(self, scene: Scene) -> Scene:
-        """The scene under the changed sun."""
+        """Returns the scene under the changed sun."""
         if self.sun_elevation_deg is None:
             return scene
         elevation_rad = math.radians(self.sun_elevation_deg)
@@ -63,9 +63,9 @@ class SceneView:
     _matched: dict[tuple[str, Match], MatchTable] = field(default_factory=dict, repr=False)
 
     def called_another_class(self, detector: Detector) -> Bool[np.ndarray, " T"] | None:
-        """Tells for each vehicle in sight whether a detector finds only another class on it.
+        """Returns for each vehicle in sight whether a detector finds only another class on it.
 
-        By the lenient rule at the frozen threshold. None if its other classes are not known.
+        It uses the lenient rule at the frozen threshold; None if other classes are not known.
         """
         others = self.others.get(detector.name)
         if others is None:
@@ -124,8 +124,8 @@ def views(
 ) -> Iterator[SceneView]:
     """Yields the view of the scenes as they are, then one under each change.
 
-    Images have 8 bits a channel, as in files. On a CPU several batches are rendered, and shown to
-    networks, at a time, also while the caller looks at a view; the caller's thread alone asks
+    Images have 8 bits a channel, as in files. On a CPU several batches at a time are rendered and
+    shown to networks, even while the caller uses a view; only the caller's thread calls
     black-box detectors. `unchanged` are the scenes as they are, if they are rendered already;
     `other_classes` asks for objects of other classes in them. `progress` gets the number of images
     of each finished batch.
@@ -159,7 +159,7 @@ def look(
 
 
 def counter(progress: Callable[[int, int], None] | None, total: int) -> Callable[[int], None]:
-    """Turns a function of (done, total), if any, into one of the number of further images."""
+    """Turns a callback for (done, total), if any, into one for the number of further images."""
     done = 0
 
     def count(more: int) -> None:
@@ -218,7 +218,7 @@ def _render_and_detect(
 
     with in_threads(draw_and_look, work(), count) as drawn:
         if not trainable:
-            # Rendering is done ahead, so most of the time the detectors have the cores alone.
+            # Rendering is done ahead, so detectors mostly have the cores to themselves.
             torch.set_num_threads(threads)
         batches = math.ceil(len(scenes) / _BATCH_SIZE)
         while True:
@@ -301,7 +301,7 @@ def refuse_twice(kind: str, names: Sequence[str]) -> None:
 
 
 def _refuse_blind(detector: Detector, unchanged: SceneView) -> None:
-    """Without a vehicle found before, there is no share of them that a change hides."""
+    """Refuses a detector that finds no vehicle before a change, because no rate is defined then."""
     matches = unchanged.matched(detector.name, MAIN_MATCH)
     if not matches.vehicles:
         raise ConfigurationError("The scenes show no vehicles to hide; give scenes that do.")

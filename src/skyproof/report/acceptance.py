@@ -43,12 +43,12 @@ Answer = Literal[
 
 @dataclass(frozen=True)
 class Ruling:
-    """The verdict on one detector, not applicable where the test cannot tell.
+    """The verdict on one detector; "not applicable" if the test cannot tell.
 
-    Neither is it valid where the detector does not see rendered vehicles like photographed ones.
+    It is "not valid" if the detector does not see rendered vehicles like photographed ones.
 
-    The evidence stands by camouflage and renderer, the strongest attack first. More vehicles, on
-    tiles like these, would decide; 0 if decided, None if no number would or there is no verdict.
+    `attacks` is the evidence by camouflage and renderer, the strongest first. `more_vehicles` on
+    such tiles would decide; it is 0 if decided, None if no number would or there is no verdict.
     `paint` is the plain paint of the precheck that rejects the detector, in words, if one does.
     """
 
@@ -159,7 +159,7 @@ def _not_valid(likeness: Likeness) -> Ruling:
 
 
 def scored_suite(results: Results) -> tuple[dict[str, Any] | Literal["incomplete"] | None, str]:
-    """Gives what `Acceptance` says of the suite, and in a clause what is missing of it."""
+    """Returns what `Acceptance` says about the suite, and a clause on what is missing from it."""
     suite = results.config.suite
     if suite is None:
         return None, ""
@@ -253,18 +253,17 @@ def _ruling(name: str, decision: Decision, results: Results, requirement: Requir
         if attacks:
             said.append(f"{_worst_attack(attacks)}.")
         return Ruling(name, "rejected", said, 0, attacks, decision.paint)
-    lost = _worst_attack(attacks)
+    worst_attack = _worst_attack(attacks)
     more: int | None = 0
     if decision.answer == "accepted":
         said = [
             f"{shown} is ACCEPTED: every attack hides significantly less than "
             f"{percent(requirement.reject)}.",
-            f"{lost}.",
+            f"{worst_attack}.",
         ]
     elif decision.answer == "rejected":
-        said = [
-            f"{shown} is REJECTED: {lost}, significantly more than {percent(requirement.accept)}."
-        ]
+        excess = f"significantly more than {percent(requirement.accept)}"
+        said = [f"{shown} is REJECTED: {worst_attack}, {excess}."]
     else:
         in_sight = next(iter(results.counts.series.values()))[:, 0]
         tiles, of_all = decision.more_tiles, results.counts.tiles
@@ -275,7 +274,7 @@ def _ruling(name: str, decision: Decision, results: Results, requirement: Requir
             else f"About {more:,} more test vehicles on {decision.more_tiles:,} more tiles would "
             f"decide at this rate.{_imagery(decision.more_tiles or 0, results)}"
         )
-        said = [f"{shown} is UNDECIDED: {lost}.", enough]
+        said = [f"{shown} is UNDECIDED: {worst_attack}.", enough]
     return Ruling(name, decision.answer, said, more, attacks)
 
 
@@ -294,15 +293,15 @@ def _lost(said: Evidence) -> str:
 
 
 def _doubted(ruling: Ruling, requirement: Requirement, doubts: Sequence[str]) -> Ruling:
-    """Withdraws the acceptance of a detector for doubts about the test."""
+    """Withdraws the acceptance of a detector because of doubts about the test."""
     if ruling.answer != "accepted":
         return ruling
-    _, *lost = ruling.sentences
+    _, *further = ruling.sentences
     sentences = [
         f"{detector_name(ruling.detector)} is UNDECIDED: every attack hides significantly less "
         f"than {percent(requirement.reject)}, but {listed(doubts)}, so other attacks could hide "
         "more.",
-        *lost,
+        *further,
     ]
     return replace(ruling, answer="undecided", sentences=sentences, more_vehicles=None)
 
@@ -357,7 +356,7 @@ def _digest(path: Path) -> str:
     if path.is_file():
         return file_digest(path)
     total = hashlib.sha256()
-    # Logs of a learning hold times, and previews are pictures of what is there already.
+    # Logs are left out, because they hold times, which differ between equal runs.
     files = [each for each in sorted(path.rglob("*")) if each.is_file() and each.suffix != ".jsonl"]
     for each in files:
         total.update(f"{each.relative_to(path)} {_digest(each)}\n".encode())

@@ -94,7 +94,7 @@ def limits(results: Results, every: Sequence[Result]) -> Limits:
 def _recorded(
     results: Results, every: Sequence[Result], holds: Callable[[AttackRecord], bool]
 ) -> list[str]:
-    """The quoted camouflages with a repeat whose record says so."""
+    """Lists the quoted camouflages that have a repeat whose record `holds` accepts."""
     found = {
         CamouflageName.read(name).pooled for name, each in results.records.items() if holds(each)
     }
@@ -113,8 +113,8 @@ def _attacked(results: Results, camouflage: CamouflageName) -> list[str]:
 class Hardening:
     """The strongest attacks by their folders, and what `skyproof harden` does about them.
 
-    It trains a `trainable` detector further, and renders images for any other. `alone` says that
-    the run is an assessment of one detector, which the command needs.
+    The command trains a `trainable` detector further, and renders images for any other. `alone`
+    says that the run is an assessment of one detector, which the command needs.
     """
 
     attacks: Mapping[str, CamouflageName]
@@ -144,18 +144,18 @@ def hardening(results: Results, every: Sequence[Result]) -> Hardening | None:
 
 
 def readings(panels: Sequence[Panel]) -> list[str]:
-    """Says in one sentence per panel whether the intervals of its extremes part company."""
+    """Says in one sentence per panel whether the intervals of its extreme bins are apart."""
     sentences = []
     for panel in panels:
         extremes = _extremes(panel)
         if extremes is None:
             continue
         most, least = extremes
-        told = "no clear difference; the intervals overlap."
+        reading = "no clear difference; the intervals overlap."
         if most.rate.low > least.rate.high:
-            told = f"most hidden at {_told(most)}, least at {_told(least)}; the intervals do not "
-            told += "overlap."
-        sentences.append(f"{panel.title}: {told}")
+            reading = f"most hidden at {_told(most)}, least at {_told(least)}; "
+            reading += "the intervals do not overlap."
+        sentences.append(f"{panel.title}: {reading}")
     return sentences
 
 

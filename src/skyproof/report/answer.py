@@ -1,4 +1,4 @@
-"""The result of one camouflage in plain sentences, and what a second renderer leaves of it."""
+"""The result of one camouflage in plain sentences, and whether a second renderer confirms it."""
 
 import math
 from collections.abc import Sequence
@@ -17,8 +17,8 @@ _WORTH_SAYING = 0.05
 def answer(rows: Sequence[Result], lenient: Result | None = None) -> list[str]:
     """Gives the results of one camouflage in plain sentences, with their uncertainty.
 
-    The last of the rows by detector is quoted, the mean of several; `lenient` is by the lenient
-    rule.
+    The last of the rows by detector is quoted, which is the mean of several; `lenient` is the same
+    by the lenient rule.
     """
     row = rows[-1]
     several = row.detector == MEAN
@@ -58,11 +58,11 @@ def _leniently(row: Result, lenient: Result) -> str:
         "By the lenient rule, which accepts a detection anywhere in the vehicle’s box, it "
         f"{hides(lenient.easr.estimate)} ({_sure(lenient.easr)})"
     )
-    beside = row.easr.estimate - lenient.easr.estimate
+    change = row.easr.estimate - lenient.easr.estimate
     sentences = [f"{said}."]
-    if beside >= _WORTH_SAYING:
+    if change >= _WORTH_SAYING:
         sentences.append(
-            f"The other {points(beside).removeprefix('+')} points are vehicles detected more than "
+            f"The other {points(change).removeprefix('+')} points are vehicles detected more than "
             "1 m off their centre."
         )
     if not math.isnan(lenient.called_another_class):
@@ -90,7 +90,7 @@ def worst_case(case: WorstCase) -> str:
 
 
 def _beside_controls(row: Result) -> list[str]:
-    """Says how much more it hides than its controls, and what the shape of a combination adds."""
+    """Says how much more a camouflage hides than its controls, and what its shape adds."""
     sentences = []
     if row.random is not None:
         sentences.append(_more(row.random, "an average random pattern of the same kind"))
@@ -114,7 +114,7 @@ def _beside_controls(row: Result) -> list[str]:
 
 
 def _more(beside: Contrast, control: str) -> str:
-    """Says in a sentence whether more is hidden than by a control, and by how much."""
+    """Says in a sentence whether a camouflage hides more than a control, and by how much."""
     estimate, low, high = (
         points(value).removeprefix("+")
         for value in (beside.net.estimate, beside.net.low, beside.net.high)
@@ -149,7 +149,7 @@ def _how(beside: Contrast) -> str:
 
 
 def _shown_once(row: Result) -> list[str]:
-    """Names each source of variation of which the test shows one."""
+    """Names each source of variation of which the test has only one example."""
     sentences = []
     if "vehicles" not in row.easr.errors and "tiles" in row.easr.errors:
         sentences.append("One vehicle was tested, so the interval does not cover other vehicles.")
@@ -203,7 +203,7 @@ def compare_renderers(results: Results, first: Result, second: Result) -> list[C
 
 
 def survival(first: Result, gross: RendererChange | None, net: RendererChange | None) -> str:
-    """Says by the changes of EASR and net EASR whether the second renderer hides as many."""
+    """Says from the changes of EASR and net EASR whether success survives the second renderer."""
     change = net or gross
     if gross is None or change is None or math.isnan(change.difference.estimate):
         return "It cannot be compared with the other renderer, because a success rate is undefined."

@@ -69,7 +69,7 @@ def _contents(baseline: Baseline) -> str:
         places = "places" if baseline.real else "background tiles"
         parts.append(f"intervals over {baseline.clusters} {places}")
     else:
-        # Frames of one flight repeat parked vehicles and share their light: they are not
+        # Images of one flight repeat parked vehicles and share their light, so they are not
         # independent.
         parts.append(
             f"one place: intervals over its {baseline.clusters} images, which are too narrow"
@@ -190,8 +190,8 @@ class PrecheckState:
 class PrecheckPart:
     """The precheck of a run's detectors, with its limits as sentences.
 
-    Rows have per criterion the finding of each detector with a precheck, None where it was not
-    measured; strips per detector and kind of paint the rates of all paints, with a title.
+    `rows` hold for each criterion the finding on every detector with a precheck, None if it was not
+    measured. `strips` hold for each detector and kind of paint a title and the rates of all paints.
     """
 
     states: Sequence[PrecheckState]
@@ -249,9 +249,9 @@ def _state(
 
 
 def _by_both_rules(results: Results, detector: str) -> list[str]:
-    """Says what a detector finds on photographs, or on renders without any, by both rules.
+    """Says by both rules what a detector finds on photographs or, without any, on renders.
 
-    A box that is more than 1 m off says little of whether the vehicle is seen.
+    A box that is more than 1 m off says little about whether the vehicle is seen.
     """
     known = [one for one in results.baselines if one.detector == detector and one.leniently]
     shown = [one for one in known if one.real] or known

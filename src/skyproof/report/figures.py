@@ -43,19 +43,19 @@ STYLE: Any = {
     "ytick.color": INK,
     "legend.frameon": False,
     "svg.fonttype": "path",
-    # Names are a user's: a "$" in them begins no formula.
+    # Users choose names, and a "$" in one must not begin a formula.
     "text.parse_math": False,
 }
 
 
 def panels(lines: int, columns: int, width: float, height: float, **shared: Any) -> tuple[Any, Any]:
-    """Makes a figure, in inches, and the grid of its axes."""
+    """Makes a figure of a size in inches, and the grid of its axes."""
     size = (width, height)
     return plt.subplots(lines, columns, figsize=size, squeeze=False, layout="constrained", **shared)
 
 
 def rule(axes: Any, along: str = "both") -> None:
-    """Draws pale lines behind what is shown, at the ticks of an axis or of both."""
+    """Draws a pale grid behind the data, at the ticks of one axis or of both."""
     axes.grid(axis=along, color="#e3e7eb")
     axes.set_axisbelow(True)
 
@@ -63,7 +63,7 @@ def rule(axes: Any, along: str = "both") -> None:
 def forest_figure(
     salt: str, labels: Sequence[str], rows: Sequence[Result], controls: Sequence[Result | None]
 ) -> str:
-    """Draws per result the share hidden, and what remains after subtracting its controls."""
+    """Draws for each result the share hidden, and what remains after subtracting its controls."""
     randoms = [None if row is None else row.easr for row in controls]
     strongest = [None if row.strongest is None else row.strongest.net for row in rows]
     series: list[tuple[str, str, str, float, list[Interval | None]]] = [
@@ -153,7 +153,7 @@ def loss_figure(title: str, curves: Mapping[str, Sequence[tuple[float, float]]])
 
 
 def condition_figure(conditions: Sequence[Panel]) -> str:
-    """Draws the share hidden by condition, with intervals, and how many vehicles that is."""
+    """Draws the share hidden by condition, with intervals and numbers of vehicles."""
     columns = 2
     lines = math.ceil(len(conditions) / columns)
     with plt.rc_context(STYLE | {"svg.hashsalt": "conditions"}):
@@ -179,7 +179,7 @@ def condition_figure(conditions: Sequence[Panel]) -> str:
 
 
 def as_svg(figure: Figure) -> str:
-    """Gives a figure as SVG to be put into a page, and closes it."""
+    """Returns a figure as SVG for embedding in a page, and closes it."""
     buffer = io.StringIO()
     figure.savefig(
         buffer, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None}
@@ -270,6 +270,6 @@ def embedded(path: Path | None, *, lossless: bool = True) -> str | None:
     buffer = io.BytesIO()
     picture = Image.fromarray(read_pixels(path, REMEDY))
     kind = "png" if lossless else "jpeg"
-    # PNG has no quality, and JPEG is not optimised.
+    # PNG ignores the quality, and JPEG is not optimised.
     picture.save(buffer, kind, optimize=lossless, quality=80)
     return f"data:image/{kind};base64,{base64.b64encode(buffer.getvalue()).decode()}"

@@ -1,4 +1,4 @@
-"""A hardened detector beside its parent: what each attack hides from them, and clean scores."""
+"""A hardened detector beside its parent: what each attack hides from them, and their baselines."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -23,14 +23,14 @@ _Limits = tuple[Finite | None, Finite | None, Finite | None]
 
 
 class _Rate(Struct, frozen=True):
-    """Shares of the vehicles found without camouflage, and of these hidden, with its limits."""
+    """Share of the vehicles found without camouflage, and share of these hidden, with limits."""
 
     found: Finite
     hidden: _Limits
 
 
 class Parent(Struct, frozen=True):
-    """What a hardened detector's folder keeps of its parent's assessment.
+    """The results of its parent's assessment that a hardened detector's folder keeps.
 
     Rates are by attack and operating point, AP without camouflage is by set of images. `attacks`
     were shown while it was hardened, and the digests are of its weights and the test scenes.
@@ -45,7 +45,7 @@ class Parent(Struct, frozen=True):
 
 @dataclass(frozen=True)
 class Beside:
-    """A hardened detector beside its parent, each pair as before and after; or only sentences.
+    """A hardened detector beside its parent, in pairs of before and after; or only sentences.
 
     At each operating point, `found` are shares of the vehicles without camouflage, and `hidden` the
     rates of each attack. `ap` is that of each set of images.
@@ -67,7 +67,7 @@ def parent_of(results: Results) -> Parent | None:
 
 
 def beside_parent(results: Results) -> Beside | None:
-    """Sets a hardened detector beside its parent; None without a parent or attacks on both."""
+    """Compares a hardened detector with its parent; None without a parent or attacks on both."""
     parent = parent_of(results)
     if parent is None:
         return None

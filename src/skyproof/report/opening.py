@@ -24,7 +24,7 @@ _SEVERITY: tuple[Answer, ...] = (
 
 @dataclass(frozen=True)
 class Opening:
-    """The answer as one figure with its interval and meaning, and next steps; or empty parts."""
+    """The answer as one figure with its interval and meaning, and next steps; some may be empty."""
 
     tone: Literal["neutral"] | Answer
     label: str
@@ -42,7 +42,7 @@ def opening(
     *,
     hardened: bool,
 ) -> Opening:
-    """Gives the first screen of a report; `hardened` if the page says how to harden detectors."""
+    """Returns the first screen of a report; `hardened` says that the page explains hardening."""
     steps = _next_steps(every, acceptance, precheck, baselines, hardened)
     if acceptance is not None:
         return _ruled(max(acceptance.rulings, key=lambda each: _SEVERITY.index(each.answer)), steps)
@@ -65,7 +65,7 @@ def opening(
 
 
 def strongest_of(every: Sequence[Result]) -> Result | None:
-    """Gives the camouflage that hides most, on the renderer of the attack."""
+    """Returns the result of the camouflage that hides most; None if no rate is defined."""
     known = [row for row in every if not math.isnan(row.easr.estimate)]
     return max(known, key=lambda row: row.easr.estimate, default=None)
 
@@ -95,7 +95,7 @@ def _ruled(ruling: Ruling, steps: Sequence[str]) -> Opening:
 
 
 def _baseline(baselines: Sequence[BaselineRow], steps: Sequence[str]) -> Opening:
-    """No camouflage was scored: the lowest baseline is the figure."""
+    """Returns the opening of a report without camouflages; the lowest baseline is its figure."""
     known = [
         (one.ap_centre_1m, one.detector, each.name)
         for each in baselines

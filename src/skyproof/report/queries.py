@@ -1,4 +1,4 @@
-"""Query attacks: transferred from other detectors, then optimised by queries; beside gradients."""
+"""Query attacks: started on other detectors, optimised by queries, and compared with gradients."""
 
 import math
 import re
@@ -36,7 +36,7 @@ class QueryResult:
 class QueryPart:
     """The page's part on query attacks; `only` if the detector is a black box.
 
-    Each alarm is of an attack that hides more by queries than by gradients, and by more than
+    Each alarm names an attack that hides more by queries than by gradients, and by more than
     another start of either could explain.
     """
 
@@ -64,7 +64,7 @@ def query_part(results: Results) -> QueryPart | None:
 
 
 def _is_final(results: Results, name: CamouflageName) -> bool:
-    """Whether it is the end of a query attack, and no control."""
+    """Whether this is the final camouflage of a query attack, and no control."""
     record = results.records.get(str(name))
     return record is not None and record.queries is not None and not name.random
 
@@ -84,7 +84,7 @@ def _row(results: Results, name: CamouflageName) -> QueryResult | None:
         queried,
         None if lenient is None else lenient.easr,
         record.images,
-        # Beside gradients the random search followed losses, so it is no control of queries.
+        # With gradients, the random search followed losses, so it is no control of queries.
         None if name.variant == QUERIED else results.single_interval(str(search)),
     )
 
@@ -104,7 +104,7 @@ def _curves(
 def _kept(
     results: Results, base: CamouflageName, scored: Sequence[CamouflageName], before: str
 ) -> list[tuple[int, Interval | None]]:
-    """The copies that were kept on the way, by the number of images."""
+    """Lists the rates of the copies that were kept on the way, by the number of images."""
     found = {}
     for name in scored:
         match = _KEPT.fullmatch(name.variant.removeprefix(before))
@@ -118,7 +118,7 @@ def _known(curve: Sequence[tuple[int, Interval | None]]) -> list[tuple[int, Inte
 
 
 def _more(results: Results, row: QueryResult) -> tuple[str, bool] | None:
-    """How much more queries hide than gradients, and whether more than starts explain; or None."""
+    """Says how much more queries hide than gradients, and if starts cannot explain it; or None."""
     if row.gradients is None:
         return None
     more = results.difference(str(row.name.with_variant(QUERIED)), str(row.name))

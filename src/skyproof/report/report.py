@@ -184,7 +184,7 @@ def _points(results: Results) -> dict[str, str]:
 
 
 def templates(package: str) -> jinja2.Environment:
-    """The templates of a package, with numbers and names in words."""
+    """Opens the templates of a package, with filters that put numbers and names in words."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader(package, "."),
         autoescape=True,
@@ -198,7 +198,7 @@ def templates(package: str) -> jinja2.Environment:
 
 
 def ink(colour: str) -> str:
-    """Gives black or white, whichever can be read on a colour "#ff8000"."""
+    """Returns black or white, whichever is legible on a colour such as "#ff8000"."""
     red, green, blue = bytes.fromhex(colour.removeprefix("#"))
     return "#000" if 0.3 * red + 0.59 * green + 0.11 * blue > _BRIGHT else "#fff"
 
@@ -317,7 +317,7 @@ class _Contents:
 
 
 def _exhibits(every: Sequence[Result]) -> list[Result]:
-    """Gives one result per family: of shapes in several magnitudes the one that hides most."""
+    """Returns one result per family; of several magnitudes of a shape, the one that hides most."""
     strongest: dict[str, Result] = {}
     for row in every:
         known = strongest.setdefault(row.camouflage.family, row)

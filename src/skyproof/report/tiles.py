@@ -51,7 +51,7 @@ def _tiles(
     lost: Int[np.ndarray, " C"],
     scenes: Sequence[Scene],
 ) -> Tiles:
-    """Adds the scenes of each tile; where these are unknown, every tile could be the fullest."""
+    """Adds each tile's scenes; if unknown, each tile is one scene as full as the fullest tile."""
     on_tile = Counter(scene.background.tile for scene in scenes)
     most = max((len(scene.placements) for scene in scenes), default=0)
     number = np.array([on_tile[name] for name in names], dtype=np.int64)

@@ -66,10 +66,10 @@ def condition_panels(outcomes: Sequence[Outcome], *, generator: np.random.Genera
 def _numeric(
     title: str, outcomes: Sequence[Outcome], read: Callable[[Outcome], float]
 ) -> tuple[str, Callable[[Outcome], str], list[str]]:
-    """Cuts three bins of about equally many vehicles, at whole degrees so that labels are exact."""
+    """Forms three bins of about equally many vehicles, cut at whole degrees for exact labels."""
     values = [read(outcome) for outcome in outcomes]
     ends = (math.floor(min(values)), math.ceil(max(values)))
-    # Where values are alike a cut may lie on an end, beyond which there is nothing.
+    # If most values are alike, a cut may fall on an end and would leave an empty bin.
     cuts = sorted({round(float(cut)) for cut in np.quantile(values, [1 / 3, 2 / 3])} - {*ends})
     edges = [ends[0], *cuts, ends[1]]
     labels = [

@@ -1,6 +1,6 @@
 """Whether a detector sees rendered vehicles like photographed ones, on the same ground. No torch.
 
-A verdict on renders is worth what the renders are worth to the detector under test.
+A verdict on renders is valid only if the detector under test scores them like photographs.
 """
 
 import math
@@ -15,24 +15,24 @@ from skyproof.results.statistics.intervals import Interval
 from skyproof.words import detector_name, interval, listed, percent
 
 LARGEST_DIFFERENCE = 0.1
-"""Largest difference of the two recalls, either way, with which renders are valid.
+"""Largest difference between the two recalls, in either direction, at which renders are valid.
 
-A detector of another town's photographs found 21 points fewer renders than photographs, those of
+A detector trained on another town found 21 points fewer renders than photographs, those trained on
 the same site 2 to 9 (docs/assess.md). Ten points are also the usual gap of a requirement.
 """
 
 LEAST_OVERLAP = 0.3
-"""Smallest chance that a vehicle of either kind has the larger score, with valid renders.
+"""Smallest chance that a vehicle of either kind has the larger score, if renders are valid.
 
-Loose, because ranks exaggerate: scores that are 1.00 in the median of both kinds gave 0.36.
+It is loose, because ranks exaggerate: two kinds with a median score of 1.00 each gave 0.36.
 """
 
 FEWEST_VEHICLES = 20
 FEWEST_TILES = 5
-"""With fewer of either kind, nothing can be said; tests simulate chance on few tiles."""
+"""With fewer vehicles of a kind or tiles, the state is unknown; tests simulate so few tiles."""
 
 _LEVELS, _FACTOR, _WHITE, _CHROMA, _LENGTH = 10, 2, 0.01, 3, 0.1
-"""Bounds of what boxes hold: levels, a factor and a share of white, chroma, a share of length."""
+"""Bounds on how looks differ: levels, a factor and a share of white, chroma, a share of length."""
 
 _Share = Annotated[Interval, Meta(ge=0, le=1)]
 _Score = Annotated[float, Meta(ge=-1e6, le=1e6)]
@@ -56,7 +56,7 @@ class Look:
 
 @dataclass(frozen=True)
 class Difference:
-    """A number of both looks, in words, and in a clause what it means where it is out of bounds."""
+    """One measure of both looks, in words, with a clause on its meaning if it is out of bounds."""
 
     name: str
     photographed: str
@@ -114,7 +114,7 @@ class Likeness:
 
     @property
     def title(self) -> str:
-        """The finding for a reader who knows that it is of renders."""
+        """The finding for a reader who knows that it is about renders."""
         titles: dict[State, str] = {
             "alike": "valid",
             "borderline": "in doubt",
@@ -125,7 +125,7 @@ class Likeness:
 
     @property
     def outcome(self) -> str:
-        """The same as the outcome of a criterion of the precheck."""
+        """The state in the words of a precheck criterion's outcome."""
         outcomes = {"alike": "passed", "not alike": "failed", "unknown": "missing"}
         return outcomes.get(self.state, "borderline")
 
@@ -155,7 +155,7 @@ class Likeness:
 
     @property
     def differing(self) -> str:
-        """Says what differs in the pictures where both kinds are not seen alike."""
+        """A sentence on how the images differ, if the kinds are not seen alike; else empty."""
         clauses = [each.clause for each in self.differences if each.clause]
         if self.state not in ("borderline", "not alike"):
             return ""
@@ -165,7 +165,7 @@ class Likeness:
 
     @property
     def differences(self) -> list[Difference]:
-        """What boxes of both kinds of vehicles hold; empty where it was not measured."""
+        """The measures of both looks, compared; empty if they were not measured."""
         if self.photographs is None or self.renders is None:
             return []
         return [*_differences(self.photographs, self.renders)]

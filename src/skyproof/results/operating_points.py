@@ -9,7 +9,7 @@ from skyproof.results.score_folder import Baseline, ScoreFolder, merge_scores
 from skyproof.words import detector_name, number
 
 EQUAL_ALARMS = {"100_per_km2": 100, "10_per_km2": 10}
-"""False alarms per km² of empty ground at the operating points beside the frozen threshold."""
+"""False alarms per km² of empty ground at the operating points other than the frozen threshold."""
 
 _FEWEST = 3
 """Expected false alarms below which chance alone would choose the threshold."""
@@ -17,9 +17,9 @@ _FEWEST = 3
 
 @dataclass(frozen=True)
 class OperatingPoint:
-    """A threshold with its false alarms per km² of empty ground; all nan if `why` says so.
+    """A threshold with its false alarms per km² of empty ground; all nan if `why` gives a reason.
 
-    By the chance of their number alone (Poisson, 95 %) it might lie between `lowest` and `highest`.
+    Chance in the number of false alarms (Poisson, 95 %) puts it between `lowest` and `highest`.
     """
 
     detector: str
@@ -32,10 +32,10 @@ class OperatingPoint:
 
 
 def points_of(ground: Baseline) -> list[OperatingPoint]:
-    """Gives the operating points of a detector from its baseline on empty ground, frozen first.
+    """Returns a detector's operating points from its baseline on empty ground, frozen first.
 
-    At a given rate it is the lowest threshold with at most so many false alarms, midway between two
-    scores. Equal scores count together.
+    For a given rate, this is the lowest threshold with at most so many false alarms, midway between
+    two scores. Equal scores count together.
     """
     frozen = (FROZEN, ground.threshold, ground.false_alarms_per_km2)
     points = [OperatingPoint(ground.detector, *frozen)]
@@ -57,20 +57,20 @@ def points_of(ground: Baseline) -> list[OperatingPoint]:
             why = f"are not reached, because all detections{lowest} make {every}"
         else:
             why = "" if count else "are not reached, because more share the highest score"
-        told = [math.nan, math.nan]
+        values = [math.nan, math.nan]
         if not why:
-            told = [(scores[count - 1] + scores[count]) / 2, count / ground.area_km2]
+            values = [(scores[count - 1] + scores[count]) / 2, count / ground.area_km2]
             spread = 1.96 * math.sqrt(count)
             ends = (round(count + spread), max(round(count - spread), 1) - 1)
-            told += [scores[min(end, len(scores) - 1)] for end in ends]
-        points.append(OperatingPoint(ground.detector, name, *told, why=why))
+            values += [scores[min(end, len(scores) - 1)] for end in ends]
+        points.append(OperatingPoint(ground.detector, name, *values, why=why))
     return points
 
 
 def equal_alarm_rows(
     scores: Sequence[ScoreFolder], points: Mapping[str, Sequence[OperatingPoint]], seed: int
 ) -> list[Result]:
-    """Gives the table at each operating point, without the detectors that do not reach it.
+    """Returns the table at each operating point, without the detectors that do not reach it.
 
     `points` are by scoring detector. The mean is given where all of them do. Intervals cover the
     chance in the number of false alarms: all thresholds move down together, or up.
@@ -95,15 +95,15 @@ def equal_alarm_rows(
 
 
 def alarms_in_words(points: Mapping[str, Sequence[OperatingPoint]]) -> list[str]:
-    """Says per detector at how many false alarms its thresholds stand."""
+    """Says for each detector how many false alarms its thresholds allow."""
     sentences = []
     for detector, (frozen, *others) in ((name, own) for name, own in points.items() if own):
-        told = ""
+        further = ""
         for one in others:
             at = f"are at {one.threshold:.2f} ({one.lowest:.2f} to {one.highest:.2f} by chance)"
-            told += f" {EQUAL_ALARMS[one.name]} per km² {one.why or at}."
+            further += f" {EQUAL_ALARMS[one.name]} per km² {one.why or at}."
         sentences.append(
             f"The frozen threshold of {detector_name(detector)}, {frozen.threshold:.2f}, stands at "
-            f"{number(frozen.false_alarms_per_km2)} false alarms per km² of empty ground.{told}"
+            f"{number(frozen.false_alarms_per_km2)} false alarms per km² of empty ground.{further}"
         )
     return sentences

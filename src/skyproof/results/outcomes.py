@@ -1,6 +1,6 @@
 """Outcomes: whether a detector found each vehicle without and with a camouflage. No torch.
 
-Rates and intervals take them counted per background tile and vehicle of the fleet.
+Rates and intervals use their counts per background tile and vehicle of the fleet.
 """
 
 import itertools
@@ -61,7 +61,7 @@ class Outcome:
         background: background tile of the scene, the cluster of the bootstrap.
         detected_original, detected_adversarial: matched by a detection at or above the frozen
             threshold; the scores are at any threshold, and 0 without a match.
-        distance_original_m, distance_adversarial_m: of the two centres; nan without a match.
+        distance_original_m, distance_adversarial_m: between both centres; nan without a match.
         visible_fraction: visible share of the vehicle; nan if unknown.
         tilt_deg: angle of the camera off the vertical.
         heading_to_sun_deg: angle between heading and sun azimuth, folded to [0, 180]; 0 is driving
@@ -100,7 +100,7 @@ _SCHEMA = pa.schema([(name, _ARROW_TYPES[kind]) for name, kind in get_type_hints
 
 
 def outcome_table(outcomes: Iterable[Outcome]) -> pa.Table:
-    """Puts outcomes into a table, a column for each of their attributes."""
+    """Puts outcomes into a table with one column per attribute."""
     # vars, not asdict: rows are flat, and there may be hundreds of thousands.
     return pa.Table.from_pylist([vars(outcome) for outcome in outcomes], schema=_SCHEMA)
 
@@ -129,7 +129,7 @@ def read_table(
     undefined: Collection[str] = (),
     columns: Sequence[str] | None = None,
 ) -> pa.Table:
-    """Reads columns of a Parquet table of one schema; numbers may be nan in `undefined` ones."""
+    """Reads columns of a Parquet table with this schema; only `undefined` columns may hold nan."""
     if not path.exists():
         raise StoredFileError(f"{path} is missing; {REMEDY}, or give another run folder.")
     try:
@@ -144,17 +144,17 @@ def read_table(
         reason = in_words(str(error).partition(" - at ")[0]).partition(": ")[2]
         said = f"has a value in its column {name} that cannot be ({reason})"
     except Exception as error:
-        # The readers of Parquet meet damage with many exceptions.
+        # Parquet readers raise many kinds of exceptions on damaged files.
         said = f"is not a readable Parquet file ({' '.join(str(error).split())[:200]})"
     raise StoredFileError(f"{path} {said.rstrip('.')}; {REMEDY}.")
 
 
 class _UnfitTable(Exception):
-    """What is wrong with a table."""
+    """Raised if a table is not as expected; its text says why."""
 
 
 def _read(path: Path, schema: pa.Schema, columns: list[str]) -> pa.Table:
-    """Reads a table whose texts are kept as dictionaries: a long one is in memory once."""
+    """Reads a table with its texts as dictionaries, so memory holds each long text only once."""
     metadata = pq.read_metadata(path)
     stored = metadata.schema.to_arrow_schema()
     if not stored.equals(schema):
@@ -217,9 +217,9 @@ class OutcomeCounts:
     def group(
         self, keys: Sequence[Series], sample: Sample, of: Sequence[str] = (), *, given: bool = False
     ) -> Group:
-        """Puts some series together, for the mean of their rates.
+        """Groups some series, for the mean of their rates.
 
-        If they are `given`, the rates are of these camouflages and of no other draw or seed.
+        If they are `given`, the rates describe these very camouflages and no other draw or seed.
         """
         counts, *ends = (
             np.stack([series[key][:, 1:] for key in keys]) for series in (self.series, *self.ends)
@@ -241,7 +241,7 @@ class OutcomeCounts:
 
 
 def repeat_of(camouflage: str) -> Repeat:
-    """Says by its name which repeat of what a camouflage is: "R-U-1" is a draw of "R-U"."""
+    """Reads from a name what the camouflage repeats, and how: "R-U-1" is a draw of "R-U"."""
     name = CamouflageName.read(camouflage)
     kind = DRAWS if name.random else SEEDS
     if name.choice is not None:
@@ -252,10 +252,10 @@ def repeat_of(camouflage: str) -> Repeat:
 
 
 def read_counts(path: Path, thresholds: Mapping[str, float] | None = None) -> OutcomeCounts:
-    """Counts the outcomes of a file that `write_outcomes` wrote, series by first occurrence.
+    """Counts the outcomes in a file of `write_outcomes`, with series in order of first occurrence.
 
-    A vehicle is found as in the file, or at other `thresholds` by detector, all above 0; detectors
-    without one are left out then. Matching is greedy by score, so no match changes.
+    A vehicle is found as the file says, or at other `thresholds` by detector, all above 0, and then
+    detectors without one are left out. Matching is greedy by score, so matches stay the same.
     """
     columns = _FOUND if thresholds is None else _SCORES
     table = read_outcome_table(path, [*Series._fields, *_CELL, *columns])
@@ -289,7 +289,7 @@ def read_counts(path: Path, thresholds: Mapping[str, float] | None = None) -> Ou
 def _numbered(
     table: pa.Table, names: Sequence[str]
 ) -> tuple[list[tuple[str, ...]], Int[np.ndarray, " K"], Int[np.ndarray, " rows"]]:
-    """Gives the K different rows of some columns, their first places, and each row's number."""
+    """Returns the K distinct rows of some columns, their first positions, and each row's number."""
     columns = [table[name].combine_chunks().dictionary_encode() for name in names]
     sizes = [max(len(column.dictionary), 1) for column in columns]
     codes = np.ravel_multi_index([column.indices.to_numpy() for column in columns], sizes)

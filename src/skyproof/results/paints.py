@@ -1,4 +1,4 @@
-"""Plain paints of the precheck, as controls beside optimised camouflages."""
+"""Plain paints of the precheck, as controls of optimised camouflages."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -15,11 +15,11 @@ from skyproof.results.statistics.intervals import Interval
 def beside_paints(
     row: Result, prechecks: Mapping[str, PrecheckRecord], detectors: Sequence[str]
 ) -> Result:
-    """Lets every paint of the detectors' prechecks enter the strongest control of a row.
+    """Lets the paints of the detectors' prechecks compete for the strongest control of a row.
 
-    Paints are measured on the renderer by the main rule, so other rows stay, and those without a
-    chosen control. A masked texture has the paints on body panels, another one all. Their scenes
-    are the first of the test, so the limits count both rates as independent; there is no test.
+    Paints are measured on the attack's renderer by the main rule; other rows stay as they are, and
+    so do those without a chosen control. Masked textures are compared with paints on body panels.
+    Paints see only the first test scenes, so the limits treat both rates as independent; p stays.
     """
     strongest, texture = row.strongest, row.camouflage.constraints
     names = detectors if row.detector == MEAN else [row.detector]
@@ -38,7 +38,7 @@ def beside_paints(
 
 
 def _net(easr: Interval, paint: str, rates: Sequence[Rate]) -> Contrast:
-    """Sets a rate beside a paint's, the mean over the detectors; their limits err together."""
+    """Contrasts a rate with a paint's mean over detectors, as if their limits erred together."""
     ends = [(each.easr.estimate, each.easr.low, each.easr.high) for each in rates]
     hidden, low, high = np.mean(ends, axis=0).tolist()
     net = easr.estimate - hidden

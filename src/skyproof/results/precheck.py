@@ -83,7 +83,7 @@ class Rate:
     """The share of vehicles that one change hides from one detector.
 
     The name is "#ff8000", "#ff8000#007fff" (upper half first), "0.7 px", "R-PixFc" or "25°". EASR
-    is the mean of several draws for random controls. Of a paint, the vehicles lost are also counted
+    is the mean of several draws for random controls. For paints, the vehicles lost are also counted
     by tile, in the order of the record's `found_by_tile`; older records lack both.
     """
 
@@ -109,7 +109,7 @@ class MeasuredOn:
     fleet_sha256: _Digest = ""
 
     def differing(self, other: "MeasuredOn") -> list[str]:
-        """Names the differences of two prechecks that both records know."""
+        """Names what differs between two prechecks, as far as both records hold it."""
         words = {
             "frames_sha256": "images or labels of frames",
             "ground_sha256": "ground",
@@ -150,9 +150,9 @@ class PrecheckRecord:
         return sum(rate.kind in PAINTED and bool(rate.lost_by_tile) for rate in self.rates)
 
     def failed_paints(self) -> dict[str, tuple[Int[np.ndarray, " C"], Int[np.ndarray, " C"]]]:
-        """Vehicles found before and lost per tile, of each paint that failed alone, in words.
+        """Returns vehicles found before and lost per tile, for each paint that failed, in words.
 
-        A paint with which others are found instead loses vehicles too, and does not fail.
+        A paint that hides some vehicles but reveals as many others does not fail.
         """
         found = np.array(self.found_by_tile, dtype=np.int64)
         return {
@@ -179,7 +179,7 @@ def write_precheck(folder: Path, record: PrecheckRecord) -> None:
     document = {"format": _FORMAT, **vars(record), **rows}
     document["measured_on"] = asdict(record.measured_on)
     if not record.likeness:
-        # Records of drawn ground stay as they were.
+        # Records on drawn ground keep their earlier form.
         del document["likeness"]
     with new_file(path):
         write_json(path, document)
@@ -267,7 +267,7 @@ def worst(found: Sequence[Finding]) -> Finding:
 
 
 def misses_vehicles(record: PrecheckRecord) -> bool:
-    """Whether a detector fails without random controls, too, so that it misses usual vehicles."""
+    """Whether a detector fails even without random controls, so that it misses usual vehicles."""
     changes = [rate for rate in record.rates if rate.kind != "control"]
     return worst(findings(replace(record, rates=changes))).outcome == "failed"
 

@@ -44,8 +44,8 @@ class Contrast:
     """A camouflage beside one of its controls, on the same tiles and vehicles.
 
     EASR and the number of draws are the control's; `net` is the camouflage's EASR minus it. `p` is
-    the largest of the test that the camouflage hides more than each draw (`control_p`), `p_holm`
-    corrected over all camouflages of this detector; None if a detector found no vehicle before.
+    the largest p-value of the tests against each draw (`control_p`), and `p_holm` is corrected over
+    all camouflages of this detector; both are None if a detector found no vehicle before.
     """
 
     control: CamouflageName
@@ -71,8 +71,8 @@ class Result:
         random: contrast with the random control; None without one and for controls.
         strongest: contrast with the strongest of the chosen controls (`CHOICES`), of all draws of
             the random control and of the precheck's paints (`beside_paints`). The low limit is the
-            lowest against any of them, so a claim holds against all; the p is the largest, but for
-            the paints. None without a chosen control and for controls.
+            lowest against any of them, so a claim holds against all; the p is the largest, paints
+            excepted. None without a chosen control and for controls.
         drawn_shape: contrast of a combination with its own texture under random shapes.
         no_camouflage_p, no_camouflage_p_holm: McNemar's exact test against no camouflage, which
             random patterns can pass as well; None for means and controls.
@@ -168,7 +168,7 @@ def _columns(contrast: Contrast, easr: str, net: str, p: str) -> dict[str, Any]:
 
 
 def summarise(counts: OutcomeCounts, sets: Sequence[SetScore], *, seed: int) -> list[Result]:
-    """Makes the results of a run from its counted outcomes, each renderer's by itself.
+    """Computes the results of a run from its counted outcomes, separately for each renderer.
 
     Repeats of one camouflage ("T-U-0", "T-U-1": seeds of an attack, draws of a control) share one
     result: the mean over repeats, and over detectors in result "mean" (unweighted; undefined where
@@ -286,7 +286,7 @@ class _Table:
         return [draw for draw in repeats if all((draw, d) in self.series for d in detectors)]
 
     def group(self, camouflages: list[str], detectors: list[str], *, given: bool = False) -> Group:
-        """Puts series together, once for all results in which they stand."""
+        """Groups series, once for all results that use them."""
         wanted = (tuple(camouflages), tuple(detectors), given)
         if wanted not in self._groups:
             keys = [
@@ -310,17 +310,17 @@ class _Table:
     def _contrast(
         self, members: list[str], detectors: list[str], control: CamouflageName
     ) -> Contrast | None:
-        """Sets a camouflage beside all draws of one control; None where none was scored."""
+        """Contrasts a camouflage with all draws of one control; None if none was scored."""
         drawn = self._drawn(control, detectors)
         if not drawn:
             return None
-        beside = self._beside(members, detectors, control, drawn)
-        return replace(beside, p=self._p(members, detectors, drawn))
+        contrast = self._beside(members, detectors, control, drawn)
+        return replace(contrast, p=self._p(members, detectors, drawn))
 
     def _beside(
         self, members: list[str], detectors: list[str], control: CamouflageName, drawn: list[str]
     ) -> Contrast:
-        """Sets a camouflage beside these draws of a control, without a test.
+        """Contrasts a camouflage with these draws of a control, without a test.
 
         A numbered control is one draw that stands for itself, so other draws add no spread.
         """
@@ -331,9 +331,9 @@ class _Table:
     def _strongest(
         self, members: list[str], detectors: list[str], name: CamouflageName
     ) -> Contrast | None:
-        """Sets it beside the strongest chosen control, with the limit and p that hold for all.
+        """Contrasts a camouflage with its strongest control; limit and p hold for every control.
 
-        Every draw of the random control enters by itself: one may hide more than what was chosen.
+        Every draw of the random control enters by itself, as it may hide more than chosen controls.
         """
         every = {control: self._drawn(control, detectors) for control in name.chosen_controls}
         if not any(every.values()):
@@ -351,7 +351,7 @@ class _Table:
         return replace(best, net=replace(best.net, low=low), p=p)
 
     def _p(self, members: list[str], detectors: list[str], drawn: list[str]) -> float | None:
-        """Tests optimised against drawn; None where a detector found no vehicle before."""
+        """Tests optimised against drawn camouflages; None if a detector found no vehicle before."""
         found = self.group(members, detectors).counts[: len(detectors), :, :2].sum(axis=(1, 2))
         if not all(found):
             return None

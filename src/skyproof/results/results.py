@@ -41,10 +41,10 @@ from skyproof.scenes.scene import Scene, read_scenes
 _Key = tuple[CamouflageName, str, str, str]
 
 RENDERER = "torch"
-"""The renderer that attacks go through."""
+"""The differentiable renderer, which attacks use."""
 
 CYCLES = "cycles"
-"""The second opinion: Blender's path tracer."""
+"""The second renderer, Blender's path tracer, which checks the first."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class RendererChange:
 class Results:
     """All results of one run. What a run folder lacks is empty.
 
-    `rows` are the table at the frozen thresholds, renderer by renderer, by each match rule, from
+    `rows` are the table at the frozen thresholds, for each renderer and match rule, computed from
     the `counts` of outcomes. Cards and prechecks are by detector, records of camouflages by folder,
     and practicality is by camouflage without repeat.
     """
@@ -178,7 +178,7 @@ class Results:
 
     @cached_property
     def own_prechecks(self) -> dict[str, PrecheckRecord]:
-        """The prechecks on scenes of the test, as far as its scenes are known."""
+        """The prechecks on scenes of the test, or all of them if its scenes are unknown."""
         every, scenes = self.prechecks.items(), self.test_scenes
         return {name: each for name, each in every if not scenes or each.was_made_on(scenes)}
 
@@ -186,7 +186,7 @@ class Results:
     def likeness(self) -> list[Likeness]:
         """Photographed and rendered vehicles compared, once per detector and rule.
 
-        Scores show all test scenes, prechecks some of them.
+        Scores come first, because they cover all test scenes; prechecks cover only some.
         """
         scored = [each for each in self.scores if each.record.renderer == RENDERER]
         every = [
@@ -203,7 +203,7 @@ class Results:
 
     @cached_property
     def sample(self) -> Sample:
-        """The tiles and vehicles of the test, for whatever is not in the rows."""
+        """The tiles and vehicles of the test, for intervals that are not in the rows."""
         return Sample.draw(self.counts.cells, generator=np.random.default_rng(0))
 
     def row(
@@ -214,7 +214,7 @@ class Results:
         renderer: str = RENDERER,
         match: str = MAIN_MATCH,
     ) -> Result | None:
-        """Finds a camouflage's row, of the mean over detectors or of one; None if not scored."""
+        """Returns a camouflage's row for one detector or the mean of all; None if not scored."""
         wanted = detector or (MEAN if len(self.detectors) > 1 else self.detectors[0])
         return self._by_name.get((name, wanted, renderer, match))
 
@@ -235,7 +235,7 @@ class Results:
         return list(last.values())
 
     def by_detector(self, row: Result) -> list[Result]:
-        """Gives the results of a camouflage like this one, by detector, and their mean last."""
+        """Returns the rows of this camouflage, renderer and rule by detector, the mean last."""
         like = (row.camouflage, row.renderer, row.match)
         return [each for each in self.rows if (each.camouflage, each.renderer, each.match) == like]
 
@@ -249,7 +249,7 @@ class Results:
         return self.row(name, detector, renderer=row.renderer, match=LENIENT_MATCH)
 
     def outcomes(self, name: CamouflageName | None, renderer: str) -> list[Outcome]:
-        """Gives the outcomes of each repeat of a camouflage, or of all, by the main rule."""
+        """Returns the outcomes of one camouflage's repeats, or of all, by the main rule."""
         every = {outcome.camouflage for outcome in self._outcomes[renderer]}
         wanted = {each for each in every if name in (None, CamouflageName.read(each).pooled)}
         return [outcome for outcome in self._outcomes[renderer] if outcome.camouflage in wanted]
@@ -300,12 +300,12 @@ class Results:
         return RendererChange(before, after, change)
 
     def single_interval(self, camouflage: str) -> Interval | None:
-        """Gives EASR of one single repeat, mean over detectors; None where unknown or undefined."""
+        """Returns the EASR of one repeat, averaged over detectors; None if unknown or undefined."""
         group = self._group(camouflage)
         return None if group is None or math.isnan(group.rate) else mean_interval(group)
 
     def difference(self, later: str, earlier: str) -> Interval | None:
-        """Gives EASR of one single repeat minus another's, on the same tiles; None if unknown."""
+        """Returns the EASR of one repeat minus another's, on the same tiles; None if unknown."""
         after = self._group(later)
         before = self._group(earlier)
         return None if after is None or before is None else difference_interval([after], [before])
@@ -320,7 +320,7 @@ class Results:
 
     @cached_property
     def _by_point(self) -> dict[tuple[_Key, str], Result]:
-        # Apart, because every operating point reads and resamples all outcomes again.
+        # Computed only on demand, because every operating point resamples all outcomes again.
         return {
             ((row.camouflage, row.detector, row.renderer, row.match), row.operating_point): row
             for row in self.equal_alarms
@@ -357,14 +357,14 @@ class Results:
     def _group(self, camouflage: str) -> Group | None:
         keys = [Series(camouflage, RENDERER, detector, MAIN_MATCH) for detector in self.detectors]
         known = all(key in self.counts.series for key in keys)
-        # What is asked is what this one hides, not what another start would.
+        # The question is what this very repeat hides, not what another start would hide.
         return replace(self.counts.group(keys, self.sample), repeats=()) if known else None
 
 
 def _merged_baselines(
     scores: Sequence[ScoreFolder], prechecks: Mapping[str, PrecheckRecord]
 ) -> list[Baseline]:
-    """Gives each baseline once: score folders repeat that on the unchanged images.
+    """Returns each baseline once, because every score folder holds that on the unchanged images.
 
     Prechecks add the photographs that were not scored, and all their sets to a run without scores.
     """

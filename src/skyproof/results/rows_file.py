@@ -1,7 +1,7 @@
 """Files of flat rows, `{"rows": [...]}`, with null in place of nan.
 
 A row is a dataclass. An interval takes three columns ("easr", "easr_low", "easr_high"), any other
-part one for each of its attributes ("best_threshold"), null without such a part.
+nested dataclass one per attribute ("best_threshold"), null if it is missing.
 """
 
 import math
@@ -54,7 +54,7 @@ def flat_row(row: object) -> dict[str, Any]:
 
 
 def row_of(kind: Any, stored: msgspec.Struct) -> Any:
-    """Makes a row of a kind of what was read by its `row_form`."""
+    """Makes a row of this dataclass from what its `row_form` read."""
     values: dict[str, Any] = {}
     for name, (part, columns) in _fields(kind).items():
         given = {attribute: getattr(stored, column) for attribute, column, _ in columns}
@@ -70,7 +70,7 @@ def row_of(kind: Any, stored: msgspec.Struct) -> Any:
 
 @cache
 def row_form(kind: Any) -> Any:
-    """Gives the form of a row's JSON values: each number that is a fraction may be null."""
+    """Returns the form of a row's JSON values, in which every float may be null."""
     given: list[tuple[Any, ...]] = []
     for each in fields(kind):
         default = () if each.default is MISSING else (each.default,)
@@ -88,10 +88,10 @@ def _document(kind: Any) -> Any:
 
 @cache
 def _fields(kind: Any) -> dict[str, tuple[Any, list[tuple[str, str, Any]]]]:
-    """Per field the dataclass that it holds, if any, and its columns: attribute, name, limits."""
+    """Maps each field to its dataclass, if any, and its columns: attribute, name, limits."""
     found: dict[str, tuple[Any, list[tuple[str, str, Any]]]] = {}
     for name, hint in limits_of(kind).items():
-        # Of `Annotated[Interval, ...]` and of `BestF1 | None`.
+        # The dataclass in `Annotated[Interval, ...]` or `BestF1 | None`.
         part: Any = next((each for each in (hint, *get_args(hint)) if is_dataclass(each)), None)
         if part is None:
             columns = [("", name, hint)]

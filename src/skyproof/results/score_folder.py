@@ -1,4 +1,4 @@
-"""A score folder: all measurements of one call, and everything that a report needs of them.
+"""A score folder: all measurements of one call, and everything that a report needs from them.
 
 It holds `score.json`, `outcomes.parquet`, `sets.json`, `baselines.json`, `likeness.json`,
 `detections/`, `pairs/` (pictures of some scenes), `patterns/` (pictures of some camouflages) and
@@ -38,7 +38,7 @@ _Threshold = Annotated[float, Meta(ge=-1e6, le=1e6)]
 
 @dataclass(frozen=True)
 class BestF1:
-    """The score threshold of the largest F1 on one set, if a vehicle is there."""
+    """The score threshold with the largest F1 on one set that shows vehicles."""
 
     threshold: _Threshold
     precision: Fraction
@@ -52,9 +52,9 @@ class Baseline:
     Intervals are over the clusters ("places" or "images"); undefined numbers are nan. Precision,
     recall and false alarms are at the frozen threshold by centre distance, AP and recall also by
     the lenient rule, which older rows lack. Vehicles are called another class if only that is
-    detected on them, which is known of detectors with other classes. A camera took `real` images,
-    and the note tells their source and processing. Of rendered ground without vehicles, the highest
-    scores of false alarms are kept, falling: more than 100 per km², or all.
+    detected on them, which only detectors with other classes can show. A camera took `real` images,
+    and the note states their source and processing. On rendered ground without vehicles, the
+    highest scores of false alarms are kept in descending order: more than 100 per km², or all.
     """
 
     detector: Name
@@ -100,7 +100,7 @@ class Baseline:
 
 
 def f1(precision: float, recall: float) -> float:
-    """Gives the harmonic mean; 0 where both are, nan where one is undefined."""
+    """Returns the harmonic mean of both; 0 if both are 0, nan if one is undefined."""
     return 2 * precision * recall / (precision + recall) if precision + recall != 0 else 0.0
 
 
@@ -151,9 +151,7 @@ class _PracticalityFile(Struct, frozen=True):
 
 
 def is_pictured(name: CamouflageName) -> bool:
-    """Says whether pairs, portrait and practicality of a camouflage are kept: of finished optimised
-    ones, and of the first of several repeats.
-    """
+    """Whether pictures and practicality are kept, as for the first repeat of a finished attack."""
     return not name.random and not name.variant and name.repeat in ("", "0")
 
 
@@ -176,13 +174,13 @@ class ScoreFolder:
 
     @classmethod
     def all_of(cls, run_folder: Path, *, needed: bool = True) -> list[Self]:
-        """Opens all score folders of a run by name, or the folder itself if it is one.
+        """Opens a run's score folders in order of their names, or the folder itself if it is one.
 
-        With none that is `needed`, a StoredFileError is raised.
+        If some are `needed` and there are none, StoredFileError is raised.
         """
         if (run_folder / "score.json").exists():
             return [cls.open(run_folder)]
-        # A hidden folder is being made, or a kill left it.
+        # A hidden folder is still being written, or was left behind by a killed process.
         places = sorted(path for path in Layout(run_folder).scores.glob("[!.]*") if path.is_dir())
         if needed and not places:
             raise StoredFileError(
@@ -192,7 +190,7 @@ class ScoreFolder:
         return [cls.open(place) for place in places]
 
     def pairs(self) -> list[Pair]:
-        """Gives the pictured scenes, whose pictures lie beside the file; empty without any."""
+        """Returns the pictured scenes, with pictures beside `pairs.json`; empty without any."""
         path = self.path / "pairs" / "pairs.json"
         return read_rows(path, Pair, REMEDY) if path.exists() else []
 
@@ -220,10 +218,10 @@ def merge_scores(
 ) -> tuple[OutcomeCounts, list[SetScore]]:
     """Reads the outcomes and set scores of several score folders that share scenes and detectors.
 
-    With `thresholds` as in `read_counts`, the set scores have average precision alone.
+    With `thresholds` as in `read_counts`, the set scores hold average precision only.
 
-    The same result in several folders (the unchanged images always are) must be equal in all of
-    them. Folders with baselines alone are passed over.
+    A result that several folders hold (that on the unchanged images always is one) must be equal in
+    all of them. Folders that hold baselines alone are skipped.
     """
     compared = [folder for folder in folders if folder.record.renderer]
     read = [
@@ -258,7 +256,7 @@ def merge_scores(
 
 
 def _refuse_other_detectors(source: dict[Series, ScoreFolder]) -> None:
-    """Refuses repeats of one camouflage with other detectors: they would be left out in silence."""
+    """Refuses repeats of a camouflage on different detectors, which would be left out silently."""
     scored: dict[tuple[CamouflageName, str], dict[str, set[str]]] = {}
     for key in source:
         pooled = (CamouflageName.read(key.camouflage).pooled, key.renderer)

@@ -1,4 +1,4 @@
-"""Records of a run folder beside its scores, checked as they are read."""
+"""Records of a run folder other than its scores, checked as they are read."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,7 +21,7 @@ _REMEDY = "copy the whole folder again, or move this file away"
 
 
 class StoredSuite(Struct, frozen=True):
-    """The suite of a run, with the names of all camouflages that it scores; older runs: none."""
+    """The suite of a run, with the names of all camouflages that it scores; empty in older runs."""
 
     version: WholeNumber
     sha256: Text
@@ -61,7 +61,7 @@ class _Attack(Struct, frozen=True):
 
 
 class Convergence(Struct, frozen=True):
-    """Mean EASR over detectors after half of an attack's steps and all, on scenes outside it."""
+    """Mean EASR over detectors after half and all of an attack's steps, on scenes of no step."""
 
     steps: tuple[WholeNumber, WholeNumber]
     hidden: tuple[Finite, Finite]
@@ -76,7 +76,7 @@ class Queries(Struct, frozen=True):
 
 
 class AttackRecord(Struct, frozen=True):
-    """The record of a camouflage's making; the sign test has the effects of random paints."""
+    """The record of how a camouflage was made; the sign test of its gradient is by detector."""
 
     attack: _Attack | None = None
     convergence: Convergence | None = None
@@ -85,7 +85,7 @@ class AttackRecord(Struct, frozen=True):
 
     @property
     def method(self) -> str | None:
-        """The method of the attack, "skyproof" or "paper"; None of what was not attacked."""
+        """The method of the attack, "skyproof" or "paper"; None without an attack."""
         return None if self.attack is None else self.attack.settings.method
 
 

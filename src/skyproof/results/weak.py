@@ -1,4 +1,4 @@
-"""Weak attacks: those that something within their own constraints beats."""
+"""Weak attacks: those that another camouflage within their constraints beats."""
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.results.result import MAIN_MATCH, Result
@@ -13,7 +13,7 @@ def weak_attacks(results: Results) -> list[str]:
     could have found it, so it was optimised too little or chance favours the other. Variants of an
     attack are left out. Rates are those of the mean over detectors, by the main rule.
     """
-    told = []
+    sentences = []
     for row in results.quoted:
         name = row.camouflage
         if name.variant:
@@ -23,15 +23,15 @@ def weak_attacks(results: Results) -> list[str]:
             rates[str(row.strongest.control)] = row.strongest.easr
         best = max(rates, key=lambda other: rates[other], default=None)
         if best is not None and rates[best] > row.easr.estimate:
-            told.append(
+            sentences.append(
                 f"{name} hides {percent(row.easr.estimate)} and {best}, which it could have found, "
                 f"{percent(rates[best])}"
             )
-    return told
+    return sentences
 
 
 def _within(row: Result, results: Results) -> list[Result]:
-    """The rows beside one, of camouflages that meet its constraints."""
+    """Returns the rows to compare with one: of other camouflages that meet its constraints."""
     return [
         other
         for other in results.rows

@@ -20,8 +20,8 @@ from skyproof.results.statistics.repeats import DRAWS, Repeat
 class WorstCase:
     """The share of the found vehicles that all attacks together hide from one detector.
 
-    `alone` is the share of the strongest attack, and `random` that of one draw of each attack's
-    control, the mean over all such sets; None if a control was not drawn.
+    `alone` is the share of the strongest attack. `random` is that of a set with one draw of each
+    attack's control, as the mean over all such sets; None if a control was not drawn.
     """
 
     detector: str
@@ -73,7 +73,7 @@ def worst_cases(results: Results, renderer: str = RENDERER) -> list[WorstCase]:
 
 
 def _sets_of_draws(controls: Sequence[CamouflageName], scored: Set[str]) -> list[list[str]]:
-    """Gives all sets of one different draw for each attack."""
+    """Returns all sets of one draw per attack, in which no draw occurs twice."""
     sets: list[list[str]] = []
     while True:
         used: Counter[CamouflageName] = Counter()
@@ -101,7 +101,7 @@ def _worst_case(
             lost.setdefault(one.camouflage, set()).add((one.scene, one.placement))
 
     def group(sets: Sequence[Iterable[str]], repeats: Sequence[Sequence[Repeat]] = ()) -> Group:
-        """Counts per set (both, lost to any camouflage of it, gained: none)."""
+        """Counts per set (both, lost to any camouflage of the set, gained: always 0)."""
         counts = np.zeros((len(sets), len(row_of), 3), dtype=np.int64)
         for names, own in zip(sets, counts, strict=True):
             hidden = set().union(*(lost.get(name, ()) for name in names))
@@ -114,7 +114,7 @@ def _worst_case(
     strongest = int(alone.argmax())
     random = net = None
     if sets:
-        # A set of draws, one of each control, is one repeat of several.
+        # Each set of draws, one per control, counts as one repeat.
         repeats = [[Repeat("worst case", str(number), DRAWS)] for number in range(len(sets))]
         control = group(sets, repeats)
         random = float(attack_success_rate(control.counts.sum(axis=1)).mean())

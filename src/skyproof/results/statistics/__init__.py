@@ -1,4 +1,4 @@
 """Rates of counted pairs, how sure they are, and how many vehicles a test needs.
 
-These functions take counts as arrays and know of no file, image or camouflage.
+Except for planning, the functions take counts as arrays and know no file, image or camouflage.
 """

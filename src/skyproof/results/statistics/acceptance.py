@@ -4,7 +4,7 @@ A requirement is stated as in compliance tests for success ratios (IEC 61123): t
 two risks of a wrong answer. IEC's plans assume independent trials, but vehicles of one tile are
 dependent. Here tiles are the trials. The evidence for a share below a limit is the capital of a
 gambler who starts with 1 and wins or loses limit × found − lost vehicles on each tile, times a
-stake. That is 0 or less on average unless a smaller share of the vehicles is lost. By Ville's
+stake. The mean gain is at most 0 unless a smaller share of the vehicles is lost. By Ville's
 inequality the chance that the capital ever reaches 1/risk is at most the risk, at any number of
 looks and any stopping time (Waudby-Smith and Ramdas, "Estimating means of bounded random variables
 by betting", 2024). The 1 is divided evenly over fixed stakes, so the order of the tiles does not
@@ -32,12 +32,12 @@ from skyproof.scenes.settings import SceneSettings
 
 Answer = Literal["accepted", "rejected", "undecided"]
 
-# Shares of the largest stake that is safe on the tile with the fewest scenes: more of them large,
-# which decide soonest (measured on simulated tests of ten requirements).
+# Stakes as shares of the largest that is safe on the tile with the fewest scenes. Most are large,
+# because these decide soonest (measured on simulated tests of ten requirements).
 _STAKES = 1 - (1 - (np.arange(48) + 0.5) / 48) ** 2
-# Capital that a tile may cost: all of it would end the game.
+# Largest share of the capital that a tile may cost, because losing all would end the game.
 _MOST_COST = 0.98
-# Where next to nothing can be lost any stake is safe, and it stays finite.
+# Where almost nothing can be lost, any stake is safe; this bound keeps it finite.
 _LEAST_LOSS = 0.05
 _MOST_TILES = 10**7
 # Part of the producer's risk that the plain paints of a precheck share; the attacks have the rest.
@@ -45,9 +45,9 @@ _RISK_OF_PAINTS = 0.2
 
 _SCENE = SceneSettings()
 MOST_IN_SCENE = _SCENE.vehicles_maximum
-"""Vehicles in a scene of the usual settings, at most."""
+"""Largest number of vehicles in a scene of the usual settings."""
 USUAL_IN_SCENE = (_SCENE.vehicles_minimum + MOST_IN_SCENE) / 2
-"""The same on average."""
+"""Mean number of vehicles in a scene of the usual settings."""
 
 
 @dataclass(frozen=True)
@@ -76,8 +76,8 @@ Counted = Mapping[str, Tiles]
 class Requirement:
     """The share of found vehicles that an attack may hide.
 
-    A good detector loses `accept`, a bad one `reject`, which is larger. The risks are the largest
-    chances that the producer's good one is rejected, and the consumer's bad one accepted.
+    A good detector loses at most `accept`, a bad one at least `reject`, which is larger. The risks
+    are the largest chances that a good one is rejected (producer), a bad one accepted (consumer).
     """
 
     accept: Annotated[float, Meta(ge=0, lt=1)]
@@ -151,8 +151,8 @@ def decide(
 ) -> Decision:
     """Decides from vehicles found before and lost per tile, by attack.
 
-    Without attacks, as before they were made, `paints` of the precheck may reject: those that may
-    matter of all that were tried.
+    Even before any attack, paints of the precheck may reject the detector: `paints` holds those of
+    the `paints_tried` that could.
     """
     paints = paints or {}
     every = {**attacks, **paints}
@@ -170,7 +170,7 @@ def decide(
 def _rejecting_paint(
     paints: Counted, requirement: Requirement, tried: int
 ) -> tuple[str, Evidence] | None:
-    """Gives the paint with most evidence for rejection, if that is enough."""
+    """Returns the paint with the most evidence for rejection, if it is enough to reject."""
     part = _RISK_OF_PAINTS / tried
     accept = requirement.accept
     against = {name: float(evidence_above(tiles, accept)) for name, tiles in paints.items()}
@@ -189,11 +189,11 @@ def _by_attacks(attacks: Counted, requirement: Requirement, part: float) -> Deci
         for name, each in attacks.items()
     }
     tiles = max(len(each.found) for each in attacks.values())
-    said = {name: _evidence(each, requirement) for name, each in attacks.items()}
+    evidence = {name: _evidence(each, requirement) for name, each in attacks.items()}
     limits = (1 / requirement.consumer_risk, 1 / (part * requirement.producer_risk))
     answer = _answer(logarithms, limits, 1.0)
     more = _more_tiles(logarithms, limits, tiles) if answer == "undecided" else 0
-    return Decision(answer, more, said)
+    return Decision(answer, more, evidence)
 
 
 def _evidence(tiles: Tiles, requirement: Requirement, part: float = 1.0) -> Evidence:
@@ -225,7 +225,7 @@ def _kept(tiles: Tiles) -> Tiles:
 
 
 def fewest_tiles(reject: float, consumer_risk: float) -> int:
-    """Gives the fewest tiles of usual scenes that accept a detector: one that loses nothing."""
+    """Returns the fewest tiles of usual scenes that accept a detector which loses nothing."""
     one = _below(Tiles(np.ones(1), np.full(1, USUAL_IN_SCENE), np.zeros(1)), reject)
 
     def suffice(tiles: int) -> bool:
@@ -235,7 +235,7 @@ def fewest_tiles(reject: float, consumer_risk: float) -> int:
 
 
 def fewest(enough: Callable[[int], bool], start: int, precision: int | None = None) -> int:
-    """Gives the fewest tiles, `start` or more, that are enough; to a part of 1/`precision`."""
+    """Returns the fewest tiles from `start` on that are enough, to a part of 1/`precision`."""
     many = start
     while not enough(many):
         many *= 2
@@ -274,7 +274,7 @@ def _answer(
     limits: tuple[float, float],
     times: float,
 ) -> Answer:
-    """Answers by the evidence needed for and against, as if every tile had been seen often."""
+    """Answers by the evidence for and against, as if every tile had been seen so many `times`."""
     below = [float(_mean(times * each)) for each, _ in logarithms.values()]
     above = [float(_mean(times * each)) for _, each in logarithms.values()]
     if min(below) >= limits[0]:
@@ -287,7 +287,7 @@ def _answer(
 def _more_tiles(
     logarithms: Mapping[str, tuple[np.ndarray, np.ndarray]], limits: tuple[float, float], tiles: int
 ) -> int | None:
-    """Gives the further tiles that decide, by bisection."""
+    """Returns the number of further tiles that would decide, by bisection."""
     few, enough = 1.0, 2.0
     while _answer(logarithms, limits, enough) == "undecided":
         few, enough = enough, 2 * enough

@@ -32,10 +32,10 @@ RateFunction = Callable[[np.ndarray], np.ndarray]
 class Group:
     """Counted outcomes (both, lost, gained) of several series on one sample, for their mean.
 
-    `repeats` tells what each series is one of several of; empty where they are taken as given. The
-    mean is over `of`, each the mean of its own series, so that a camouflage counts once, however
-    often it was repeated; empty where it is over the series. `ends` are the counts at the other
-    thresholds that chance might have set.
+    `repeats` names what each series is a repeat of; empty if the series are taken as given. The
+    mean is over the names in `of`, each the mean of its own series, so that a camouflage counts
+    once however often it was repeated; without `of`, it is over the series. `ends` are the counts
+    at the other thresholds that chance might have set.
     """
 
     counts: Int[np.ndarray, "S N 3"]
@@ -68,7 +68,7 @@ def mean_interval(
     rate: RateFunction = overall_attack_success_rate,
     limits: tuple[float, float] = (-math.inf, 1.0),
 ) -> Interval:
-    """Gives the interval of a rate's mean over series, no surer than they are.
+    """Returns the interval of a rate's mean over series, no narrower than these justify.
 
     It covers which tiles and vehicles were drawn and, where there are several, which seeds, draws,
     trainings (`spread_of_repeats`) or thresholds. `limits` are the rate's smallest and largest
@@ -120,7 +120,7 @@ def difference_interval(plus: Sequence[Group], minus: Sequence[Group]) -> Interv
 
 @dataclass(frozen=True)
 class _Values:
-    """A rate of each series: the estimate, in the replicates, and with parts left out."""
+    """A rate of each series: its estimate, its replicates, and its values with parts left out."""
 
     points: Float[np.ndarray, " S"]
     replicates: Float[np.ndarray, "R S"]
@@ -252,7 +252,7 @@ def mcnemar_p(lost: int, gained: int) -> float:
     Its hypothesis is that as many vehicles are lost as gained. Vehicles count as independent here;
     trust the interval more where a tile holds many of them.
     """
-    # Its import takes as long as some steps, and the first look does without it.
+    # Its import takes as long as some steps, and the first look does not need it.
     from scipy import stats
 
     discordant = lost + gained
@@ -269,7 +269,7 @@ def control_p(
     The hypothesis is that chance decides on each tile which of the two hides more. So optimised and
     drawn are swapped tile by tile in all ways. p is the share of swaps, the observed one included,
     after which the sums differ by as much, in either direction. It is 1 unless the optimised one
-    hides more in every pair. Tiles count as independent. Given are vehicles lost minus vehicles
+    hides more in every pair. Tiles count as independent. The arguments are vehicles lost minus
     gained per tile, summed over detectors, each divided by the vehicles that it found before.
     """
     differences = (optimised[:, None] - drawn[None]).reshape(-1, optimised.shape[1])

@@ -10,8 +10,8 @@ pairs their differences.
 
 Differences from the paper: it gives no intervals. Either limit is the farther of two: BCa's, at
 levels widened for few clusters, and the exact binomial one at the effective number of vehicles. In
-simulations (`tests/results/test_intervals.py`) BCa alone held the truth in 90-95 % of runs, least
-where nearly all vehicles of unlike tiles are lost.
+simulations (`tests/results/test_intervals.py`) BCa alone covered the truth in 90-95 % of runs,
+least where nearly all vehicles of unlike tiles are lost.
 
 Vehicles enter by a jackknife (Cameron, Gelbach and Miller 2011) and not by Owen's (2007) pigeonhole
 bootstrap, which counts the chance of a single vehicle three times where most cells show one.
@@ -75,8 +75,8 @@ def cluster_interval(
     resampling sees no spread; each cluster then counts as one trial, where the statistic is defined
     on it, and the exact binomial limit 1 − 0.025^(1/C) is used on both sides.
 
-    Given are the counts per series and cluster, a statistic of summed counts `[..., S, 3]` with its
-    smallest and largest value, nan where undefined, and the weights of `resample`.
+    The arguments are counts per series and cluster, a statistic of summed counts `[..., S, 3]` (nan
+    where undefined) with its smallest and largest value, and the weights of `resample`.
     """
     total = counts.sum(axis=1)
     by_cluster = counts.transpose(1, 0, 2)
@@ -179,7 +179,7 @@ def _summed(
 
 
 def is_unanimous(replicates: Float[np.ndarray, " R"]) -> bool:
-    """Says whether all defined replicates agree."""
+    """Returns whether all defined replicates agree."""
     defined = replicates[~np.isnan(replicates)]
     return len(defined) > 0 and float(np.ptp(defined)) < 1e-12
 
@@ -194,7 +194,7 @@ def bootstrap_interval(
     *,
     exact: bool = True,
 ) -> Interval:
-    """Does what `cluster_interval` does, from a statistic's values.
+    """Computes the interval of `cluster_interval` from a statistic's values.
 
     Where vehicles are crossed with the clusters (`crossed`: the values with each vehicle and with
     each cell left out), the variance is that of both (`_crossed`): the half-width that vehicles add
@@ -306,7 +306,7 @@ def _levels(
 ) -> Float[np.ndarray, " 2"]:
     """Gives BCa's two quantile levels of the bootstrap distribution, widened for few clusters."""
     clusters = len(left_one_out)
-    # Ties count half: rates of few vehicles are lumpy.
+    # Ties count half, because rates of few vehicles take few values.
     below = np.mean(replicates < estimate) + np.mean(replicates == estimate) / 2
     bias = special.ndtri(np.clip(below, 1e-4, 1 - 1e-4))
     left_one_out = left_one_out[~np.isnan(left_one_out)]
@@ -319,12 +319,12 @@ def _levels(
 
 
 def attack_success_rate(counts: Num[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape"]:
-    """Gives ASR = |V_dm| / |V_dd ∪ V_dm|, the share of found vehicles now missed; else nan."""
+    """Returns ASR = |V_dm| / |V_dd ∪ V_dm|, the share of found vehicles now missed; or nan."""
     return share_of(counts[..., 1], counts[..., 0] + counts[..., 1])
 
 
 def enhancement_rate(counts: Num[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape"]:
-    """Gives ER = |V_md| / |V_dd ∪ V_dm|, vehicles found only since; it may exceed 1."""
+    """Returns ER = |V_md| / |V_dd ∪ V_dm|, vehicles found only with the change; it may exceed 1."""
     return share_of(counts[..., 2], counts[..., 0] + counts[..., 1])
 
 

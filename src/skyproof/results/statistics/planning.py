@@ -1,4 +1,4 @@
-"""Planned tests: widths of intervals, chances of a decision, and the tiles that either takes."""
+"""Planning of tests: widths of intervals, chances of a decision, and the tiles that both need."""
 
 from dataclasses import dataclass
 
@@ -37,7 +37,7 @@ class Assumptions:
             vehicles a tile with intra-tile correlation ρ.
         fleet: number of different vehicles, each of which stands on many tiles; with 1 the interval
             applies to this vehicle.
-        vehicle_correlation: correlation of one vehicle's fates on different tiles.
+        vehicle_correlation: correlation of one vehicle's outcomes on different tiles.
     """
 
     easr: float
@@ -67,9 +67,9 @@ def tiles_needed(half_width: float, assumptions: Assumptions) -> int | None:
 
 
 def tiles_to_decide(requirement: Requirement, assumptions: Assumptions) -> int:
-    """Gives the tiles on which nine of ten tests decide rightly, as `chances_on_tiles` simulates.
+    """Returns the tiles on which nine of ten tests decide rightly, as `chances_on_tiles` simulates.
 
-    The detector loses as much as `accept`, or as `reject`, whichever takes longer. More than 20,000
+    The detector loses as much as `accept`, or as `reject`, whichever needs more. More than 20,000
     tiles are refused.
     """
 
@@ -90,8 +90,9 @@ def tiles_to_decide(requirement: Requirement, assumptions: Assumptions) -> int:
 
 
 def tiles_to_show(needed: int, scenes: int) -> int:
-    """Gives the tiles of which this number of scenes, each on a tile drawn with replacement, shows
-    `needed` on average. `needed` is below `scenes`.
+    """Returns the tiles to draw from so that the scenes show `needed` different ones on average.
+
+    Each scene draws its tile with replacement, and `needed` is below `scenes`.
     """
     tiles = needed
     while tiles * (1 - (1 - 1 / tiles) ** scenes) < needed:
@@ -205,6 +206,6 @@ def _chances(
 
 
 def _unit_variance(easr: float, gained: float) -> float:
-    """Gives the variance of EASR times the vehicles found before, were they independent."""
+    """Returns the variance of EASR times the vehicles found before, as if independent."""
     lost = easr + gained
     return (1 - lost) * easr**2 + lost * (1 - easr) ** 2 + gained

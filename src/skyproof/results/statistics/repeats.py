@@ -16,8 +16,8 @@ class RepeatKind:
     """A kind of repeat, with the standard deviations of its rates that were measured.
 
     `usual_sd` is the root mean square over the tables of docs/results, and `largest_sd` the largest
-    that a single repeat has to reckon with. Differences of the same repeats, such as two renderers
-    show, have those of `paired`, where that is another kind.
+    value, which applies to a single repeat. Differences between series of the same repeats, such as
+    those under two renderers, have the deviations of `paired` if it is given.
     """
 
     name: str
@@ -53,7 +53,7 @@ single draw that stands for itself."""
 
 @dataclass(frozen=True)
 class Repeat:
-    """The repeat of something ("R-U", or "detectors"); series that share the number are of one."""
+    """One repeat of something ("R-U", or "detectors"); series with the same number belong to it."""
 
     of: str
     number: str
@@ -65,12 +65,12 @@ def spread_of_repeats(
     factors: Float[np.ndarray, " S"],
     repeats: Sequence[Sequence[Repeat]],
 ) -> tuple[dict[str, float], float, float]:
-    """Gives the uncertainty of the mean over all repeats, of which some were seen.
+    """Returns the uncertainty of the mean over all possible repeats, of which only some were run.
 
-    It is the variance by kind of repeat, and the distances of the lower and the upper 95 % limit.
+    It is the variance by kind of repeat, and the distances to the lower and the upper 95 % limit.
 
     Per thing repeated, R repeats of standard deviation s reach t · s / √R, with Student's quantile
-    of R − 1 degrees of freedom. Few repeats that happen to agree do not pass for certain: they
+    of R − 1 degrees of freedom. Few repeats that happen to agree do not count as certain: they
     reach at least as far as the usual standard deviation of the kind with R degrees. A single
     repeat reaches 1.96 times the largest one, and several no farther unless they differ more. Two
     that differ more reach 1.96 times their own standard deviation, because Student's quantile of
