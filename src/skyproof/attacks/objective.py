@@ -68,7 +68,7 @@ def objective_and_gradient(
     share: float = 1.0,
     method: Method = "skyproof",
 ) -> tuple[Objective, Float[Tensor, "B 3 H W"]]:
-    """Gives the objective and its gradient with respect to the images, arguments as `objective`.
+    """Returns the objective and its gradient with respect to the images, arguments as `objective`.
 
     Both are multiplied by the images' share of a batch. Detectors run one after the other, so that
     only one network's activations are held.
@@ -93,7 +93,7 @@ def _term(method: Method, weight: float, losses: Float[Tensor, " B"]) -> Float[T
 
 
 def balanced_weights(losses: Mapping[str, Sequence[float]]) -> dict[str, float]:
-    """Gives the weights that bring every detector's mean of these losses to 1.
+    """Returns the weights that bring every detector's mean of these losses to 1.
 
     Differences from the paper: it gives numbers (table S2) for losses that partly sum over anchors.
     Ours are normalised per image, so the numbers cannot be used.

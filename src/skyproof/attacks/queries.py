@@ -63,7 +63,7 @@ class CoarseChange:
         self.count = math.prod(self.shape)
 
     def __call__(self, numbers: Float[np.ndarray, " K"]) -> Camouflage:
-        """Gives the finished camouflage of some offsets; zeros give the start."""
+        """Returns the finished camouflage of some offsets; zeros give the start."""
         changed = copy.deepcopy(self._start)
         moved = _moved(changed)
         offsets = torch.as_tensor(numbers, dtype=moved.dtype).reshape(self.shape)
@@ -128,7 +128,7 @@ class _RandomChanges:
         self._step = 0
 
     def propose(self) -> list[Camouflage]:
-        """Gives the camouflage and one random change of it."""
+        """Returns the camouflage and one random change of it."""
         self._step += 1
         self._other = copy.deepcopy(self._camouflage)
         self._other.vary_(generator_of(self._seed, "search", self._step))

@@ -22,7 +22,7 @@ class Camouflage(nn.Module):
     learning_rates: Mapping[str, float] = {}
 
     def forward(self, vehicles: VehicleBatch) -> VehicleBatch:
-        """Gives the same vehicles, camouflaged; differentiable in the parameters."""
+        """Returns the same vehicles, camouflaged; differentiable in the parameters."""
         raise NotImplementedError
 
     def paper_form_(self, on: bool) -> None:

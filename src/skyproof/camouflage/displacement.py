@@ -65,7 +65,7 @@ class DisplacementMap(Camouflage):
         return replace(vehicles, vertices=vehicles.vertices + self._offsets(vehicles))
 
     def map(self) -> Float[Tensor, "64 64"]:
-        """Gives the symmetric map: the fraction of PM * W by which each place moves."""
+        """Returns the symmetric map: the fraction of PM * W by which each place moves."""
         both = (self.reach + self.reach.flip(1)) / 2
         return both.sigmoid() if self._in_paper_form else both
 

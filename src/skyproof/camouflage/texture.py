@@ -107,7 +107,7 @@ class UniversalTexture(Camouflage):
         return self.constraints.colours != "free"
 
     def map(self) -> Float[Tensor, "3 512 512"]:
-        """Gives the whole map in sRGB, before any mask; differentiable."""
+        """Returns the whole map in sRGB, before any mask; differentiable."""
         grid = self._coloured() if self.restricted else self.cells
         side = TEXTURE_SIZE // self.blocks
         return grid if side == 1 else _spread(grid, side)
@@ -121,7 +121,7 @@ class UniversalTexture(Camouflage):
         return torch.einsum("kc,kij->cij", self.palette, weights)
 
     def bytes(self) -> UInt8[Tensor, "3 512 512"]:
-        """Gives the map as its PNG holds it."""
+        """Returns the map as its PNG holds it."""
         return (self.map().detach().clamp(0, 1) * 255).round().byte()
 
     def mask(self, vehicles: VehicleBatch) -> Tensor | None:

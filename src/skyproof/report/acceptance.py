@@ -352,7 +352,7 @@ def _validity(results: Results) -> str:
 
 
 def _digest(path: Path) -> str:
-    """Gives the SHA-256 of a file, or of a folder's files and their names; empty where missing."""
+    """Returns the SHA-256 of a file, or of a folder's files and their names; empty if missing."""
     if path.is_file():
         return file_digest(path)
     total = hashlib.sha256()

@@ -19,7 +19,7 @@ _STRONGEST = 2
 
 
 def advice(rows: Sequence[Result]) -> list[str]:
-    """Gives advice on the detectors from the results of one camouflage, the quoted one last."""
+    """Returns advice on the detectors from the results of one camouflage, the quoted one last."""
     quoted = rows[-1]
     single = [row for row in rows if row.detector != MEAN and not math.isnan(row.easr.estimate)]
     sentences = []
@@ -78,7 +78,7 @@ class Limits:
 
 
 def limits(results: Results, every: Sequence[Result]) -> Limits:
-    """Gives the facts that limit the numbers of the quoted results."""
+    """Returns the facts that limit the numbers of the quoted results."""
     return Limits(
         _attacked(results, every[0].camouflage) if every else [],
         any(name.variant.startswith(("on_", "without_")) for name in results.names),
@@ -160,7 +160,7 @@ def readings(panels: Sequence[Panel]) -> list[str]:
 
 
 def _extremes(panel: Panel) -> tuple[Bin, Bin] | None:
-    """Gives the bins where most and least is hidden; None where fewer than two have limits."""
+    """Returns the bins where most and least is hidden; None where fewer than two have limits."""
     known = [bar for bar in panel.bins if bar.rate.low == bar.rate.low]
     if len(known) < 2:
         return None

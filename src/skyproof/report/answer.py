@@ -15,7 +15,7 @@ _WORTH_SAYING = 0.05
 
 
 def answer(rows: Sequence[Result], lenient: Result | None = None) -> list[str]:
-    """Gives the results of one camouflage in plain sentences, with their uncertainty.
+    """Returns the results of one camouflage in plain sentences, with their uncertainty.
 
     The last of the rows by detector is quoted, which is the mean of several; `lenient` is the same
     by the lenient rule.

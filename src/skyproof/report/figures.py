@@ -256,7 +256,7 @@ def queries_figure(curves: Sequence[QueryCurve]) -> str:
 
 
 def embedded_jpeg(path: Path) -> str:
-    """Gives a JPEG file as a data URI."""
+    """Returns a JPEG file as a data URI."""
     with open_picture(path, REMEDY) as picture:
         if picture.format != "JPEG":
             raise StoredFileError(f"{path} is a {picture.format} file, not JPEG; {REMEDY}.")
@@ -264,7 +264,7 @@ def embedded_jpeg(path: Path) -> str:
 
 
 def embedded(path: Path | None, *, lossless: bool = True) -> str | None:
-    """Gives a picture as a data URI: PNG where texels matter, else JPEG."""
+    """Returns a picture as a data URI: PNG where texels matter, else JPEG."""
     if path is None:
         return None
     buffer = io.BytesIO()

@@ -128,7 +128,7 @@ def known_rates(results: Results) -> tuple[dict[str, dict[str, _Rate]], dict[str
 
 
 def scenes_of(results: Results) -> str:
-    """Gives the digest of a run's test scenes; empty without any."""
+    """Returns the digest of a run's test scenes; empty without any."""
     path = Layout(results.folder).scenes("test")
     return file_digest(path) if path.exists() else ""
 

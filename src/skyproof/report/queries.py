@@ -48,7 +48,7 @@ class QueryPart:
 
 
 def query_part(results: Results) -> QueryPart | None:
-    """Gives the results of query attacks; None without any."""
+    """Returns the results of query attacks; None without any."""
     scored = [CamouflageName.read(key.camouflage) for key in results.counts.series]
     names = list(dict.fromkeys(name for name in scored if _is_final(results, name)))
     if not names:

@@ -216,7 +216,7 @@ class _Contents:
         self.every = list(first.values())
 
     def second(self, row: Result) -> Result | None:
-        """Gives a camouflage's result under the other renderer; None without one."""
+        """Returns a camouflage's result under the other renderer; None without one."""
         same = (other for other in self._quoted if other.camouflage == row.camouflage)
         return next((other for other in same if other.renderer != row.renderer), None)
 
@@ -224,7 +224,7 @@ class _Contents:
         return answer(self._results.by_detector(row), self._results.lenient(row))
 
     def answer_beside(self, first: Result, second: Result) -> list[str]:
-        """Gives the answer under the second renderer, and whether the success survives it."""
+        """Returns the answer under the second renderer, and whether the success survives it."""
         gross, net = (
             self._results.change(
                 [first.camouflage], net=net, first=first.renderer, second=second.renderer
@@ -296,7 +296,7 @@ class _Contents:
         return embedded(self._results.pattern(row.camouflage, file), lossless=lossless)
 
     def pairs(self, row: Result, count: int | None = None) -> list[_Picture]:
-        """Gives the pictured scenes of a camouflage, or the first ones."""
+        """Returns the pictured scenes of a camouflage, or the first ones."""
         pictures = []
         for folder, pair in self._results.pairs(row.camouflage, row.renderer)[:count]:
             caption = (
@@ -310,7 +310,7 @@ class _Contents:
         return pictures
 
     def fewer_pairs(self, row: Result) -> list[_Picture]:
-        """Gives the first scenes that were chosen by hash, and the extremes."""
+        """Returns the first scenes that were chosen by hash, and the extremes."""
         pairs = self.pairs(row)
         chosen = [pair for pair in pairs if pair.caption.startswith("Chosen by hash")]
         return [*chosen[:_PAIRS_OF_SECOND], *(pair for pair in pairs if pair not in chosen)]

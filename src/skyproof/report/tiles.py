@@ -17,7 +17,7 @@ from skyproof.words import renderer_name
 
 
 def attack_tiles(counts: OutcomeCounts, detector: str, scenes: Sequence[Scene]) -> dict[str, Tiles]:
-    """Gives found and lost vehicles per tile, by camouflage and renderer."""
+    """Returns found and lost vehicles per tile, by camouflage and renderer."""
     names, place = np.unique([tile for tile, _ in counts.cells], return_inverse=True)
     attacks = {}
     for key, own in counts.series.items():
@@ -38,7 +38,7 @@ def attack_tiles(counts: OutcomeCounts, detector: str, scenes: Sequence[Scene]) 
 
 
 def paint_tiles(precheck: PrecheckRecord, scenes: Sequence[Scene]) -> dict[str, Tiles]:
-    """Gives found and lost vehicles per tile, of each paint that failed the precheck."""
+    """Returns found and lost vehicles per tile, of each paint that failed the precheck."""
     checked = scenes[: precheck.measured_on.scenes]
     names = sorted({scene.background.tile for scene in checked if scene.placements})
     paints = precheck.failed_paints()

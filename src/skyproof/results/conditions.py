@@ -35,7 +35,7 @@ _HEADINGS = ((45, "towards sun\n(0–45°)"), (135, "across\n(45–135°)"), (18
 
 
 def condition_panels(outcomes: Sequence[Outcome], *, generator: np.random.Generator) -> list[Panel]:
-    """Gives EASR by condition for the outcomes of one camouflage, renderer and match rule."""
+    """Returns EASR by condition for the outcomes of one camouflage, renderer and match rule."""
     if not outcomes:
         return []
     labellers: list[tuple[str, Callable[[Outcome], str], list[str] | None]] = [

@@ -230,7 +230,7 @@ class OutcomeCounts:
         return Group(counts, sample, [[each] for each in repeats], of, ends)
 
     def of(self, renderer: str, match: str) -> "OutcomeCounts":
-        """Gives the series of one renderer and match rule, on the cells that they show."""
+        """Returns the series of one renderer and match rule, on the cells that they show."""
         keys = [key for key in self.series if (key.renderer, key.match) == (renderer, match)]
         shown = np.any([self.series[key][:, 0] > 0 for key in keys], axis=0)
         cells = tuple(itertools.compress(self.cells, shown))

@@ -114,7 +114,7 @@ class Result:
         return None if self.random is None else self.random.net
 
     def json(self) -> dict[str, Any]:
-        """Gives flat JSON values, as `results.json` holds them; undefined ones are None.
+        """Returns flat JSON values, as `results.json` holds them; undefined ones are None.
 
         The standard errors by source of variation (`easr_tile_se`, `easr_vehicle_se`,
         `easr_repeat_se`, `easr_threshold_se`, and `random_draw_se` of the net EASR) are None where
@@ -298,7 +298,7 @@ class _Table:
         return self._groups[wanted]
 
     def _mean(self, camouflages: list[str], detectors: list[str], field: str) -> float:
-        """Gives the mean of a set score; nan where any of the sets was not scored."""
+        """Returns the mean of a set score; nan where any of the sets was not scored."""
         known = [
             self.scores.get(self.key._replace(camouflage=camouflage, detector=detector))
             for camouflage in camouflages
@@ -357,7 +357,7 @@ class _Table:
             return None
 
         def hidden(camouflage: str) -> Float[np.ndarray, " C"]:
-            """Gives lost minus gained per tile, over what each detector found before."""
+            """Returns lost minus gained per tile, over what each detector found before."""
             tiles = self.sample.by_tile(self.group([camouflage], detectors).counts)
             return np.sum((tiles[..., 1] - tiles[..., 2]) / found[:, None], axis=0)
 

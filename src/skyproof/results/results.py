@@ -197,7 +197,7 @@ class Results:
         return [row for row in every if first[row.detector, row.match] is row]
 
     def likeness_of(self, detector: str) -> Likeness | None:
-        """Gives the comparison by the main rule, which decides; None where it was not measured."""
+        """Returns the comparison by the main rule, which decides; None if it was not measured."""
         decides = (detector, MAIN_MATCH)
         return next((row for row in self.likeness if (row.detector, row.match) == decides), None)
 
@@ -219,7 +219,7 @@ class Results:
         return self._by_name.get((name, wanted, renderer, match))
 
     def at(self, row: Result, point: str) -> Result | None:
-        """Gives the same result at another operating point; None where it is not known."""
+        """Returns the same result at another operating point; None where it is not known."""
         key = (row.camouflage, row.detector, row.renderer, row.match)
         return self._by_name.get(key) if point == FROZEN else self._by_point.get((key, point))
 
@@ -240,11 +240,11 @@ class Results:
         return [each for each in self.rows if (each.camouflage, each.renderer, each.match) == like]
 
     def control(self, row: Result) -> Result | None:
-        """Gives the result of a camouflage's random control; None where it was not scored."""
+        """Returns the result of a camouflage's random control; None where it was not scored."""
         return self.row(row.camouflage.control, row.detector, renderer=row.renderer)
 
     def lenient(self, row: Result) -> Result | None:
-        """Gives the same result by the lenient rule; None where it was not scored."""
+        """Returns the same result by the lenient rule; None where it was not scored."""
         name, detector = row.camouflage, row.detector
         return self.row(name, detector, renderer=row.renderer, match=LENIENT_MATCH)
 
@@ -265,7 +265,7 @@ class Results:
         ]
 
     def pattern(self, name: CamouflageName, file: str) -> Path | None:
-        """Gives a picture or log of the first repeat of a camouflage; None where there is none."""
+        """Returns a picture or log of the first repeat of a camouflage; None if there is none."""
         for score in self.scores:
             for folder in (name, name.with_repeat(0)):
                 place = f"patterns/{folder}/{file}"

@@ -22,12 +22,12 @@ T = TypeVar("T")
 
 
 def nulls_for_undefined(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Gives the values with None in place of nan, which JSON does not have."""
+    """Returns the values with None in place of nan, which JSON does not have."""
     return {name: None if value != value else value for name, value in values.items()}
 
 
 def interval_columns(name: str, interval: Interval) -> dict[str, float]:
-    """Gives the three columns of an interval."""
+    """Returns the three columns of an interval."""
     return {name: interval.estimate, f"{name}_low": interval.low, f"{name}_high": interval.high}
 
 
@@ -43,7 +43,7 @@ def read_rows(path: Path, kind: type[T], remedy: str) -> list[T]:
 
 
 def flat_row(row: object) -> dict[str, Any]:
-    """Gives a row as JSON values."""
+    """Returns a row as JSON values."""
     kind: Any = type(row)
     values: dict[str, Any] = {}
     for name, (part, columns) in _fields(kind).items():

@@ -195,20 +195,20 @@ class ScoreFolder:
         return read_rows(path, Pair, REMEDY) if path.exists() else []
 
     def baselines(self) -> list[Baseline]:
-        """Gives the baseline of each detector and dataset."""
+        """Returns the baseline of each detector and dataset."""
         return read_rows(self.path / "baselines.json", Baseline, REMEDY)
 
     def likeness(self) -> list[Likeness]:
-        """Gives how photographed and rendered vehicles compare; empty where not measured."""
+        """Returns how photographed and rendered vehicles compare; empty where not measured."""
         path = self.path / LIKENESS
         return read_rows(path, Likeness, REMEDY) if path.exists() else []
 
     def sets(self) -> list[SetScore]:
-        """Gives average precision and false alarms of each set."""
+        """Returns average precision and false alarms of each set."""
         return read_rows(self.path / "sets.json", SetScore, REMEDY)
 
     def practicality(self) -> list[Practicality]:
-        """Gives the practicality of the pictured camouflages; empty where not measured."""
+        """Returns the practicality of the pictured camouflages; empty where not measured."""
         path = self.path / "practicality.json"
         return read_document(path, _PracticalityFile, REMEDY).rows if path.exists() else []
 

@@ -34,7 +34,7 @@ class WorstCase:
     net: Interval | None
 
     def json(self) -> dict[str, Any]:
-        """Gives flat JSON values, as `results.json` holds them; undefined ones are None."""
+        """Returns flat JSON values, as `results.json` holds them; undefined ones are None."""
         values = {
             "detector": self.detector,
             "renderer": self.renderer,
@@ -49,7 +49,7 @@ class WorstCase:
 
 
 def worst_cases(results: Results, renderer: str = RENDERER) -> list[WorstCase]:
-    """Gives the worst case of each detector, by the first repeat of each of two or more attacks."""
+    """Returns the worst case per detector, by the first repeat of each of two or more attacks."""
     scored = list(
         dict.fromkeys(key.camouflage for key in results.counts.series if key.renderer == renderer)
     )

@@ -98,7 +98,7 @@ class Requirement:
 def requirement_of(
     accept: float | None, reject: float | None, producer_risk: float, consumer_risk: float
 ) -> Requirement | None:
-    """Gives the requirement of two options; None where neither is given."""
+    """Returns the requirement of two options; None where neither is given."""
     if accept is None and reject is None:
         return None
     if accept is None or reject is None:
@@ -197,7 +197,7 @@ def _by_attacks(attacks: Counted, requirement: Requirement, part: float) -> Deci
 
 
 def _evidence(tiles: Tiles, requirement: Requirement, part: float = 1.0) -> Evidence:
-    """Gives the evidence of one attack, with bounds at a part of the risks."""
+    """Returns the evidence of one attack, with bounds at a part of the risks."""
     return Evidence(
         found=int(tiles.found.sum()),
         lost=int(tiles.lost.sum()),
@@ -210,12 +210,12 @@ def _evidence(tiles: Tiles, requirement: Requirement, part: float = 1.0) -> Evid
 
 
 def evidence_below(tiles: Tiles, limit: float) -> Float[np.ndarray, "*runs"]:
-    """Gives the evidence for a share below a limit in (0, 1], from independent tiles."""
+    """Returns the evidence for a share below a limit in (0, 1], from independent tiles."""
     return _mean(_below(tiles, limit))
 
 
 def evidence_above(tiles: Tiles, limit: float) -> Float[np.ndarray, "*runs"]:
-    """Gives the evidence for a share above a limit in [0, 1)."""
+    """Returns the evidence for a share above a limit in [0, 1)."""
     return evidence_below(_kept(tiles), 1 - limit)
 
 
@@ -250,7 +250,7 @@ def fewest(enough: Callable[[int], bool], start: int, precision: int | None = No
 
 
 def _below(tiles: Tiles, limit: float) -> Float[np.ndarray, "*runs bets"]:
-    """Gives the logarithm of the capital under each stake.
+    """Returns the logarithm of the capital under each stake.
 
     A stake is the same for every vehicle, except on tiles with so many scenes that they might cost
     all capital.
@@ -265,7 +265,7 @@ def _below(tiles: Tiles, limit: float) -> Float[np.ndarray, "*runs bets"]:
 
 
 def _mean(logarithms: Float[np.ndarray, "*runs bets"]) -> Float[np.ndarray, "*runs"]:
-    """Gives the mean capital, up to e^700."""
+    """Returns the mean capital, up to e^700."""
     return np.asarray(np.exp(np.minimum(logarithms, 700.0)).mean(axis=-1))
 
 
@@ -303,7 +303,7 @@ def _more_tiles(
 
 
 def _bound(tiles: Tiles, risk: float, *, below: bool) -> float:
-    """Gives the last limit that the evidence does not exclude, in thousandths, or the share."""
+    """Returns the last limit that the evidence does not exclude, in thousandths, or the share."""
     evidence = evidence_below if below else evidence_above
     limits = np.arange(1, 1001) / 1000 if below else np.arange(999, -1, -1) / 1000
     # The evidence grows along the limits.

@@ -81,7 +81,7 @@ def mean_interval(
 
 
 def difference_interval(plus: Sequence[Group], minus: Sequence[Group]) -> Interval:
-    """Gives the sum of some groups' mean EASRs minus that of others, paired by tile and vehicle.
+    """Returns the sum of some groups' mean EASRs minus that of others, paired by tile and vehicle.
 
     All groups are on one sample. Series of the same repeat in several groups are paired by it, too.
 
@@ -161,7 +161,7 @@ class _Values:
     def interval(
         self, factors: Float[np.ndarray, " S"], limits: tuple[float, float], *, exact: bool = True
     ) -> Interval:
-        """Gives the interval of the sum of the rates, each multiplied by its factor."""
+        """Returns the interval of the sum of the rates, each multiplied by its factor."""
         return bootstrap_interval(
             float(self.points @ factors),
             self.replicates @ factors,
@@ -173,7 +173,7 @@ class _Values:
         )
 
     def mean(self, factors: Float[np.ndarray, " S"], limits: tuple[float, float]) -> Interval:
-        """Gives the interval of the mean, no narrower than the series' own intervals require.
+        """Returns the interval of the mean, no narrower than the series' own intervals require.
 
         Where every tile agrees in some series but not in all, resampling sees only the others'
         spread. Then the mean of the series' margins counts, as if they all erred together.
@@ -192,7 +192,7 @@ class _Values:
 def _square_and_add(
     means: Float[np.ndarray, "G R"], parts: Sequence[Interval], count: int
 ) -> tuple[float, float]:
-    """Gives the distances of the limits of the first `count` groups' sum minus the others'."""
+    """Returns the distances of the limits of the first `count` groups' sum minus the others'."""
     signs = np.where(np.arange(len(parts)) < count, 1.0, -1.0)
     below = np.array([part.estimate - part.low for part in parts])
     above = np.array([part.high - part.estimate for part in parts])
@@ -239,7 +239,7 @@ def _with_repeats(
 
 
 def unchanged_p(totals: Int[np.ndarray, "repeats 3"]) -> float:
-    """Gives the largest of the repeats' McNemar p-values; 1 where they point both ways."""
+    """Returns the largest of the repeats' McNemar p-values; 1 where they point both ways."""
     balance = totals[:, 1] - totals[:, 2]
     if balance.min() < 0 < balance.max():
         return 1.0
@@ -247,7 +247,7 @@ def unchanged_p(totals: Int[np.ndarray, "repeats 3"]) -> float:
 
 
 def mcnemar_p(lost: int, gained: int) -> float:
-    """Gives the p-value of McNemar's two-sided exact test, from the discordant pairs.
+    """Returns the p-value of McNemar's two-sided exact test, from the discordant pairs.
 
     Its hypothesis is that as many vehicles are lost as gained. Vehicles count as independent here;
     trust the interval more where a tile holds many of them.
@@ -264,7 +264,7 @@ def mcnemar_p(lost: int, gained: int) -> float:
 def control_p(
     optimised: Float[np.ndarray, "repeats C"], drawn: Float[np.ndarray, "draws C"]
 ) -> float:
-    """Gives the largest p of optimised camouflages against draws of their control, in all pairs.
+    """Returns the largest p of optimised camouflages against draws of their control, in all pairs.
 
     The hypothesis is that chance decides on each tile which of the two hides more. So optimised and
     drawn are swapped tile by tile in all ways. p is the share of swaps, the observed one included,
@@ -281,7 +281,7 @@ def control_p(
 
 
 def _swapped_p(differences: Float[np.ndarray, " C"], slack: float) -> float:
-    """Gives the share of all swaps after which a sum is as far from 0.
+    """Returns the share of all swaps after which a sum is as far from 0.
 
     Tiles of sum `room` or less may be turned against the others. Their sums are counted on a grid,
     rounded down, so p comes out too large by a few percent of itself at most.

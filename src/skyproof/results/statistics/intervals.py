@@ -64,7 +64,7 @@ def cluster_interval(
     limits: tuple[float, float] = (-math.inf, math.inf),
     exact: bool = True,
 ) -> Interval:
-    """Gives the 95 % cluster-bootstrap interval of any statistic of summed pair counts.
+    """Returns the 95 % cluster-bootstrap interval of any statistic of summed pair counts.
 
     It is bias-corrected and accelerated (BCa; Efron 1987), with the acceleration from leaving out
     one cluster at a time. The normal quantile is replaced by Student's with C − 1 degrees of
@@ -97,7 +97,7 @@ def superiority_interval(
     cluster_of_second: Int[np.ndarray, " M"],
     weights: Int[np.ndarray, "R C"],
 ) -> Interval:
-    """Gives the chance that a value drawn from the first is larger than one of the second.
+    """Returns the chance that a value drawn from the first is larger than one of the second.
 
     Equal values count half: 0.5 means no difference. This is the area under the ROC curve (Mann and
     Whitney 1947), here with its 95 % interval over clusters that hold both kinds of values.
@@ -238,7 +238,7 @@ def bootstrap_interval(
 
 
 def _jackknife(left_one_out: Float[np.ndarray, " C"]) -> tuple[float, float]:
-    """Gives the jackknife variance and its degrees of freedom.
+    """Returns the jackknife variance and its degrees of freedom.
 
     These are 2 / (relative variance of the influences' sample variance): few where few clusters
     decide (large kurtosis), at most C − 1.
@@ -260,7 +260,7 @@ def _crossed(
     vehicles: Float[np.ndarray, " V"],
     cells: Float[np.ndarray, " N"],
 ) -> tuple[float, float]:
-    """Gives the vehicles' part of the variance, and Satterthwaite's degrees of freedom of both.
+    """Returns the vehicles' part of the variance, and Satterthwaite's degrees of freedom of both.
 
     The variance of clusters crossed two ways is V_tiles + V_vehicles − V_cells (Cameron, Gelbach
     and Miller 2011), and at least that of each way alone.
@@ -276,7 +276,7 @@ def _crossed(
 def effective_limits(
     estimate: float, variance: float, degrees: float, span: tuple[float, float] = (-1.0, 1.0)
 ) -> tuple[float, float]:
-    """Gives exact binomial limits at the effective sample size.
+    """Returns exact binomial limits at the effective sample size.
 
     The estimate counts as a share p of `span`, and p(1 − p) / variance as the number of independent
     vehicles. That is multiplied by (1.96 / t)², t being Student's quantile, because the variance is
@@ -297,14 +297,14 @@ def effective_limits(
 
 
 def unanimous_margin(clusters: int) -> float:
-    """Gives the distance of the exact binomial limit where all clusters agree, 1 − 0.025^(1/C)."""
+    """Returns the distance of the exact binomial limit if all clusters agree, 1 − 0.025^(1/C)."""
     return 1 - TAIL ** (1 / clusters)
 
 
 def _levels(
     estimate: float, replicates: Float[np.ndarray, " R"], left_one_out: Float[np.ndarray, " C"]
 ) -> Float[np.ndarray, " 2"]:
-    """Gives BCa's two quantile levels of the bootstrap distribution, widened for few clusters."""
+    """Returns BCa's two quantile levels of the bootstrap distribution, widened for few clusters."""
     clusters = len(left_one_out)
     # Ties count half, because rates of few vehicles take few values.
     below = np.mean(replicates < estimate) + np.mean(replicates == estimate) / 2
@@ -329,7 +329,7 @@ def enhancement_rate(counts: Num[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "
 
 
 def overall_attack_success_rate(counts: Num[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape"]:
-    """Gives EASR = ASR − ER, which is 1 − TP_adversarial / TP_original at the fixed threshold."""
+    """Returns EASR = ASR − ER, which is 1 − TP_adversarial / TP_original at the fixed threshold."""
     return share_of(counts[..., 1] - counts[..., 2], counts[..., 0] + counts[..., 1])
 
 

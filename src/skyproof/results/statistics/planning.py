@@ -58,7 +58,7 @@ class DecisionChances:
 
 
 def tiles_needed(half_width: float, assumptions: Assumptions) -> int | None:
-    """Gives the fewest tiles for an interval of ± `half_width`; None if the fleet is too small."""
+    """Returns the fewest tiles for an interval of ± `half_width`; None if no number is enough."""
 
     def enough(tiles: int) -> bool:
         return expected_half_width(tiles, assumptions) <= half_width
@@ -185,7 +185,7 @@ def chances_on_tiles(
 def _chances(
     requirement: Requirement, assumptions: Assumptions, tiles: int, share: float
 ) -> tuple[float, float]:
-    """Gives the chances of acceptance and of rejection of a detector that loses this share."""
+    """Returns the chances of acceptance and of rejection of a detector that loses this share."""
     generator = np.random.default_rng(0)
     found_per_tile = assumptions.vehicles_per_tile * assumptions.found_before
     correlation = (assumptions.design_effect - 1) / max(found_per_tile - 1, 1e-9)
