@@ -236,9 +236,7 @@ def test_report(copied, tmp_path: Path, skyproof: Skyproof) -> None:
     answer = skyproof("report", folder)
     assert answer.code == 0, answer.err
     assert (folder / "report.html").exists()
-    skyproof("report", tmp_path / "missing").refused(
-        str(tmp_path / "missing"), "holds no scores"
-    )
+    skyproof("report", tmp_path / "missing").refused(str(tmp_path / "missing"), "holds no scores")
     (folder / "report.html").unlink()
     for file, bad in (
         ("config.json", "{"),

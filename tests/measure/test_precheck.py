@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from skyproof.assessment.run import precheck_images
 from skyproof.camouflage.folder import load_camouflage, save_camouflage
 from skyproof.camouflage.paint import LATTICE, TWO_TONES, plain_paint, two_tone_paint
 from skyproof.datasets.dataset import Dataset
@@ -49,6 +50,8 @@ YELLOWS = {"#808000", "#ffff00", "#ffff80"}
 
 def test_every_trial_is_made_once_and_every_draw_differs():
     trials = precheck_changes(torch.rand(5, 3), draws=2, seed=0)
+    # The estimate of the time left counts every scene as built, too.
+    assert precheck_images(3, 2) == 3 * (1 + len(trials))
     counted = {
         kind: len({trial.name for trial in trials if trial.kind == kind})
         for kind in ("paint_body", "paint_whole", "two_tone", "blur", "control", "sun")

@@ -321,5 +321,5 @@ def time_left_s(
 
 
 def precheck_images(scenes: int, draws: int) -> int:
-    """Images of a precheck: every scene as it is, 62 times changed, and in ten random controls."""
-    return scenes * (1 + 62 + 10 * draws)
+    """Images of a precheck: scenes as built, in 62 paints, 4 blurs, 4 suns and 10 controls."""
+    return scenes * (1 + 62 + 4 + 4 + 10 * draws)
