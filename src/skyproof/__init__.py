@@ -1,7 +1,7 @@
 """How robust is an overhead vehicle detector to camouflage that could be painted or built?
 
-`import skyproof as sp` gives the names that programs need. They are told once, in `__init__.pyi`,
-and loaded when they are first used, so that importing the package costs next to nothing.
+`import skyproof as sp` gives the names that programs need. They are listed once, in
+`__init__.pyi`, and loaded at their first use, so that importing the package costs next to nothing.
 """
 
 import lazy_loader

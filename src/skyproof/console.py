@@ -9,7 +9,7 @@ from typing import Any
 # Without a terminal (a log file, CI) a line now and then replaces the moving bar.
 _LINE_EVERY_S = 15.0
 
-# The time left is told once so many seconds, or such a share of the work, are measured.
+# The time left is shown once this many seconds, or this share of the work, have been measured.
 _TRUSTED_S = 60.0
 _TRUSTED_SHARE = 0.05
 
@@ -34,14 +34,14 @@ def say_error(message: str) -> None:
 
 
 def shortened(text: str, most: int) -> str:
-    """A text of at most so many characters and, in its middle, dots for what is left out."""
+    """Shortens a text to about `most` characters, with dots for what is left out inside."""
     if len(text) <= most:
         return text
     return f"{text[: most * 2 // 3]}...{text[-(most // 3) :]}"
 
 
 def _shown(line: str, most: int) -> str:
-    """Gives a line as it is shown: names in files may hold what moves a terminal's cursor."""
+    """Makes a line safe to print: names in files may hold what moves a terminal's cursor."""
     signs = (
         sign if sign.isprintable() or sign == _THIN_SPACE else "?" for sign in shortened(line, most)
     )
@@ -79,7 +79,7 @@ def progress_bar(name: str) -> Iterator[Callable[[int, int], None]]:
     def update(done: int, total: int) -> None:
         nonlocal last, first
         now = time.monotonic()
-        # Steps finished before a resume cost no time now, and the first one often much.
+        # Steps before a resume took no time in this run, and the first one often takes long.
         first = first or (done, now)
         if now - last < _LINE_EVERY_S:
             return

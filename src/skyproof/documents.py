@@ -49,10 +49,10 @@ def read_document(
     """Reads a JSON file as a value of a kind, and refuses everything else.
 
     Every number is finite, and whole numbers have at most 64 bits. A field that a dataclass does
-    not know is refused at any depth, because it may be misspelt. A Struct decides itself about
+    not know is refused at any depth, because it may be misspelt. A Struct decides for itself about
     unknown fields. The error is one sentence with the file, the place in it and the remedy, such as
-    "copy the file again". With `version`, the field "format" must have it; others are refused
-    before their fields are read.
+    "copy the file again". With `version`, the field "format" must equal it; other versions are
+    refused before their fields are read.
     """
     content = _content(path, remedy, error)
     if version is not None:
@@ -179,7 +179,7 @@ def _refuse_strange(value: Any, hint: Any, place: str) -> None:
 
 
 def _fields_of(hint: Any) -> Mapping[str, Any] | None:
-    """Gives the annotations of a dataclass, or of the one dataclass among several types."""
+    """Returns the annotations of a dataclass, or of the one dataclass among several types."""
     if isinstance(hint, type) and (is_dataclass(hint) or is_typeddict(hint)):
         return limits_of(hint)
     parts = map(_fields_of, get_args(hint)) if _is_union(hint) else ()
@@ -191,7 +191,7 @@ def _is_union(hint: Any) -> bool:
 
 
 def _part_of(hint: Any, index: int) -> Any:
-    """Gives the annotation of a list's items, or of an object's values."""
+    """Returns the annotation of a list's items, or of an object's values."""
     parts = [part for part in get_args(hint) if part is not type(None)]
     if not parts:
         return None
@@ -223,5 +223,5 @@ def in_words(message: str) -> str:
 
 
 def _kinds_in_words(named: re.Match[str]) -> str:
-    """Gives the kinds of a union, such as `int | null`, in words."""
+    """Returns the kinds of a union, such as `int | null`, in words."""
     return " or ".join(_TYPES.get(kind, "another kind") for kind in named[1].split(" | "))

@@ -13,7 +13,7 @@ class ConfigurationError(SkyproofError):
 
 
 class DetectorAnswerError(SkyproofError):
-    """A detector of somebody else's that did not answer, or whose answer cannot be one."""
+    """A detector from elsewhere that did not answer, or whose answer is invalid."""
 
 
 class ImageryError(SkyproofError):

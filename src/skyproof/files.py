@@ -261,7 +261,7 @@ def file_digest(path: Path) -> str:
 
 
 def inside(folder: Path, reference: str, document: Path) -> Path:
-    """Gives the file below `folder` that a document in it names; no link may lead out of it."""
+    """Returns the file below `folder` that a document in it names; no link may lead out of it."""
     path = Path(folder) / reference
     try:
         leads_out = not path.resolve().is_relative_to(Path(folder).resolve())
@@ -312,7 +312,7 @@ def write_jsonl(path: Path, rows: Iterable[Any]) -> None:
 
 
 def to_json(path: Path, value: Any, indent: int | None = None) -> str:
-    """Gives a value as JSON text for a file, which the error about a number in it names."""
+    """Returns a value as JSON text; the error about a number that is not finite names `path`."""
     try:
         return json.dumps(value, indent=indent, ensure_ascii=False, allow_nan=False)
     except ValueError as error:

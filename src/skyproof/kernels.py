@@ -1,7 +1,7 @@
 """Kernels (NVIDIA Warp) on tensors: one source serves CPU and CUDA.
 
-A kernel runs on the device of its tensors, after what torch does there. So memory that torch frees
-meanwhile is given to later work alone.
+A kernel runs on the device of its tensors, after the work that torch has queued there. So memory
+that torch frees in the meantime is reused only by later work.
 """
 
 import os
@@ -29,7 +29,7 @@ _loading = threading.RLock()
 
 
 def launch(kernel: wp.Kernel, dim: Sequence[int], *arguments: Any) -> None:
-    """Runs a kernel; tensors are seen as the arrays that it takes."""
+    """Runs a kernel; tensors are passed as the arrays that it takes."""
     device = _device_of(arguments)
     _load(kernel.module, device)
     given = [
@@ -43,13 +43,13 @@ def launch(kernel: wp.Kernel, dim: Sequence[int], *arguments: Any) -> None:
 
 
 def rows(kernel: wp.Kernel, dim: Sequence[int], *arguments: Any) -> None:
-    """Runs a kernel that walks along rows: a thread for each on a CPU, for each pixel on CUDA."""
+    """Runs a kernel along rows: one thread per row on a CPU, one per pixel on CUDA."""
     parts = dim[2] if _device_of(arguments).type == "cuda" else 1
     launch(kernel, (*dim[:2], parts), *arguments, parts)
 
 
 def struct(kind: Any, **values: Any) -> Any:
-    """Fills a struct; tensors are seen as the arrays that it holds, and kept."""
+    """Fills a struct; tensors are stored as the arrays that it holds, and kept alive."""
     _device_of(values.values())
     _start()
     filled = kind()
@@ -104,7 +104,7 @@ def _load(module: wp.Module, device: torch.device) -> None:
         return
     with _loading:
         _start()
-        # By the threads of a block, of which a CPU has one.
+        # The name depends on the number of threads in a block, which is one on a CPU.
         name = module.get_module_identifier(1 if device.type == "cpu" else None)
         if not Path(_folder(), name).exists():
             _tell_of_compiling()
@@ -152,13 +152,13 @@ def _compile_elsewhere() -> None:
 
 @cache
 def _temporary_folder() -> tempfile.TemporaryDirectory[str]:
-    """It is removed when the program ends."""
+    """Makes a folder that is removed when the program ends."""
     return tempfile.TemporaryDirectory(prefix="skyproof-kernels-")
 
 
 @contextmanager
 def _without_the_drivers_line() -> Iterator[None]:
-    """Leaves out what Warp writes where there is no GPU; other lines come a moment later."""
+    """Drops the line that Warp writes without a GPU; other lines appear when the block ends."""
     if sys.stderr is None:
         yield
         return

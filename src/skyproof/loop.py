@@ -25,7 +25,7 @@ class LoopPart(Protocol):
     """An object that changes from step to step: a module, an optimiser, a schedule."""
 
     def state_dict(self) -> dict[str, Any]:
-        """Gives its changing state: nested dictionaries of tensors and plain values."""
+        """Returns the changing state: nested dictionaries of tensors and plain values."""
         ...
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> Any:
@@ -35,7 +35,7 @@ class LoopPart(Protocol):
 
 @dataclass
 class Loop:
-    """The steps of a run in a folder: `for step in loop` gives 1, 2, ... up to the last.
+    """The steps of a run in a folder: `for step in loop` yields 1, 2, ... up to the last.
 
     `resume` first returns to the last checkpoint, so that a stopped run continues. The body of the
     loop must depend on the step's number and on `parts` alone. A checkpoint is one file with the
@@ -44,7 +44,7 @@ class Loop:
 
     Attributes:
         identity: JSON values; a folder with another identity is refused.
-        other: name in errors of a run of another identity.
+        other: words in errors for a run of another identity.
         remedy: advice in errors about a damaged checkpoint.
         on_row: called with each row of `steps.jsonl` after its step.
         facts: JSON values that are decided once, before the first step.
@@ -96,9 +96,9 @@ class Loop:
         self.rows = [row for row in rows if row["step"] <= self.step]
 
     def __iter__(self) -> Iterator[int]:
-        """Gives the numbers of the remaining steps; a part that is not finite stops them."""
+        """Yields the numbers of the remaining steps; a part that is not finite stops the loop."""
         if self.step == 0:
-            # This file marks the folder as ours before any other.
+            # The first checkpoint marks the folder as ours before the body writes any file.
             self._store()
         while self.step < self.steps:
             done = len(self.rows)
@@ -122,7 +122,7 @@ class Loop:
         (self.folder / CHECKPOINT).unlink(missing_ok=True)
 
     def _store(self) -> None:
-        """Writes rows and then the checkpoint, which gives its step."""
+        """Writes the rows and then the checkpoint, whose step says which rows count."""
         tensors: dict[str, Tensor] = {}
         plain: dict[str, Any] = {}
         for name, part in self.parts.items():

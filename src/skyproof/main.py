@@ -55,29 +55,29 @@ _REMEDIES = {
     errno.EISDIR: "give a file, not a folder",
     errno.ELOOP: "check where its links lead",
 }
-"""What the user can do, by what the system says."""
+"""What the user can do, by the system's error number."""
 
 Commands = Mapping[str, Mapping[str, str]]
-"""By group and name, the module and class of a command."""
+"""The module and class of every command, by group and name."""
 
 _NO_NETWORK = {
     "CPL_VSIL_CURL_ALLOWED_FILENAME": "none",
     "GDAL_HTTP_PROXY": "127.0.0.1:1",
     "PROJ_NETWORK": "OFF",
 }
-"""Closes the ways of GDAL and PROJ to the network, should a file find one past our checks."""
+"""Keeps GDAL and PROJ off the network, in case a file gets past our checks."""
 
 _QUIET = {"CPL_LOG": os.devnull, "PROJ_DEBUG": "0", "TORCH_CPP_LOG_LEVEL": "ERROR"}
-"""Keeps lines of GDAL, PROJ and torch, which write to the terminal, away from our sentences."""
+"""Keeps GDAL, PROJ and torch from writing lines to the terminal among our own."""
 
 
 def main(commands: Commands = COMMANDS) -> None:
     """Runs the command that the program's arguments name."""
-    # Many small operations stall when idle threads spin; this must be said before torch is
+    # Many small operations stall when idle threads spin; this must be set before torch is
     # imported.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     os.environ.update(_NO_NETWORK)
-    # Whoever looks for a mistake sets these variables, or asks Python for its warnings.
+    # To look for a mistake, set these variables, or ask Python for its warnings.
     for variable, value in _QUIET.items():
         os.environ.setdefault(variable, value)
     if not sys.warnoptions:
@@ -89,7 +89,7 @@ def main(commands: Commands = COMMANDS) -> None:
 def run(arguments: Sequence[str] | None = None, *, commands: Commands = COMMANDS) -> int:
     """Parses and runs one command; returns the exit code.
 
-    It is 0 when done, 2 for bad input, 130 when the user stopped it, 141 when nobody reads it.
+    The code is 0 when done, 2 for bad input, 130 after Ctrl-C, 141 when nobody reads the output.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
@@ -200,7 +200,7 @@ def _overview(commands: Commands) -> str:
 
 
 def _keep_freed_memory() -> None:
-    """Tells glibc to keep large freed blocks, which cost a quarter of the rendering time anew."""
+    """Tells glibc to keep large freed blocks: new ones cost a quarter of the rendering time."""
     trim_threshold = -1
     mmap_threshold = -3
     with suppress(OSError, AttributeError, TypeError):

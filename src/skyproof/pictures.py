@@ -28,8 +28,8 @@ _TURNS = {
 }
 """How pixels of each EXIF orientation are turned until the picture stands upright."""
 
-# Others of Pillow's readers start programs (EPS runs Ghostscript) or are rarely looked after. What
-# reads JPEG also reads the pictures in pairs (MPO) of some cameras.
+# Pillow's other readers start programs (EPS runs Ghostscript) or are rarely maintained. The reader
+# of JPEG also reads the pairs of pictures (MPO) that some cameras store.
 _FORMATS = ("PNG", "JPEG", "TIFF", "JPEG2000", "BMP", "WEBP")
 
 
@@ -40,7 +40,7 @@ def open_picture(
     error: type[SkyproofError] = StoredFileError,
     also: tuple[str, ...] = (),
 ) -> Image.Image:
-    """Reads the header of a picture, of `_FORMATS` or Pillow's formats in `also`, with a remedy."""
+    """Opens a picture and reads its header; formats are `_FORMATS` and Pillow's in `also`."""
     refuse_special(path, remedy, error=error)
     try:
         with warnings.catch_warnings():
@@ -94,7 +94,7 @@ def whole_picture(
     size_px: tuple[int, int] | None = None,
     error: type[SkyproofError] = StoredFileError,
 ) -> Image.Image:
-    """Decodes a whole picture as Pillow's, in RGB, upright as its EXIF orientation says.
+    """Decodes a whole picture to a Pillow image in RGB, upright by its EXIF orientation.
 
     `size_px`, if given, must be its size.
     """
@@ -105,7 +105,7 @@ def whole_picture(
                 f"{path} has {width} x {height} px, expected are {size_px[0]} x {size_px[1]}; "
                 f"{remedy}."
             )
-        # Before the pixels are read, as for the size: a PNG may name another one behind them.
+        # Read before the pixels, like the size: a PNG may name another orientation after them.
         turn = _TURNS.get(_not_turned(picture))
         pixels = _loaded(picture, "RGB", str(path), remedy, error)
         return pixels if turn is None else pixels.transpose(turn)
@@ -115,14 +115,14 @@ def exif_orientation(picture: Image.Image) -> int:
     """Returns how the pixels of an open picture are stored, 1 (upright) to 8; decodes nothing."""
     try:
         if picture.format == "PNG":
-            # Asked for its EXIF data, Pillow decodes a PNG that has none.
+            # `getexif` would decode the whole of a PNG without EXIF data.
             exif = Image.Exif()
             exif.load(picture.info.get("exif", b""))
         else:
             exif = picture.getexif()
         orientation = exif.get(ExifTags.Base.Orientation)
     except Exception:
-        # Damaged EXIF data raise any exception, and are worth nothing.
+        # Damaged EXIF data can raise any exception, and are ignored.
         return 1
     return orientation if orientation in _TURNS else 1
 
@@ -169,7 +169,7 @@ def _loaded(
             # A conversion copies even if there is nothing to convert.
             return picture if picture.mode == mode else picture.convert(mode)
     except Exception as damage:
-        # As above.
+        # Damage makes Pillow's decoders, too, raise any exception.
         raise error(
             f"{place} cannot be read as a picture ({_reason(damage)}); {remedy}."
         ) from damage

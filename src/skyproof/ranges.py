@@ -102,13 +102,13 @@ def check_value(name: str, value: Any, hint: Any) -> None:
 
 @cache
 def limits_of(kind: type) -> Mapping[str, Any]:
-    """Gives the annotations of a dataclass or typed dictionary, limits included, by field."""
+    """Returns the annotations of a dataclass or typed dictionary, limits included, by field."""
     return get_type_hints(kind, include_extras=True)
 
 
 @cache
 def _limited(kind: type) -> Mapping[str, Any]:
-    """Gives the annotations with a limit or a choice, by field."""
+    """Returns the annotations with a limit or a choice, by field."""
     hints = limits_of(kind)
     named = {field.name: hints[field.name] for field in fields(kind)}
     return {
@@ -119,14 +119,14 @@ def _limited(kind: type) -> Mapping[str, Any]:
 
 
 def _choices(hint: Any) -> list[str]:
-    """Gives the choices of an annotation; empty if it is no choice."""
+    """Returns the choices of an annotation; empty if it is no choice."""
     if get_origin(hint) is Literal:
         return [str(choice) for choice in get_args(hint)]
     return [choice for part in get_args(hint) for choice in _choices(part)]
 
 
 def _metas(hint: Any) -> list[tuple[Any, Meta]]:
-    """Gives the limits anywhere in an annotation, each with the type it is for."""
+    """Returns the limits anywhere in an annotation, each with the type it is for."""
     if hasattr(hint, "__metadata__"):
         own = [(hint.__origin__, meta) for meta in hint.__metadata__ if isinstance(meta, Meta)]
         return own + _metas(hint.__origin__)
@@ -160,7 +160,7 @@ def _expected(hint: Any) -> str:
 
 
 def _shown(value: Any) -> str:
-    """Gives the beginning of a value; Python does not print whole numbers of any length."""
+    """Returns the beginning of a value; Python does not print whole numbers of any length."""
     try:
         text = repr(value)
     except ValueError:
@@ -173,7 +173,7 @@ def _number(bound: int | float) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Gives a value as Python's own type: NumPy's and torch's numbers have `item`."""
+    """Returns a value as Python's own type: NumPy's and torch's numbers have `item`."""
     if isinstance(value, tuple | list):
         return tuple(map(_plain, value))
     return value.item() if hasattr(value, "item") else value

@@ -1,4 +1,4 @@
 """The single commands: each a frozen dataclass of settings with `run()`, for people and for plans.
 
-Only this room prints and picks a device. A command imports what it uses when it runs.
+Only this package prints and picks a device. A command imports what it uses when it runs.
 """

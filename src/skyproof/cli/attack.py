@@ -72,14 +72,14 @@ class Attack:
     device: str = "auto"
 
     def run(self) -> None:
-        """Makes what is not finished yet."""
+        """Makes the camouflages that are not finished yet."""
         names = [CamouflageName.parse(name) for name in self.names]
         if not names:
             raise ConfigurationError("Expected at least one name of a camouflage, such as T-U.")
-        still = [name for name in names if name.magnitude == 0 and not name.random]
-        if still:
+        unchanged = [name for name in names if name.magnitude == 0 and not name.random]
+        if unchanged:
             raise ConfigurationError(
-                f"{still[0]} has magnitude 0, with which there is nothing to optimise; give a "
+                f"{unchanged[0]} has magnitude 0, with which there is nothing to optimise; give a "
                 "magnitude above 0."
             )
         drawn = [name for name in names if name.random and name.choice is None]
@@ -116,7 +116,7 @@ class Attack:
         say(f"Camouflages: {self.out.resolve()} ({', '.join(map(str, names))})")
 
     def _palette(self, names: Sequence[CamouflageName]) -> "torch.Tensor | None":
-        """The fixed colours of Fc, from which Lc and Pix start, too."""
+        """Returns the fixed colours of Fc, from which Lc and Pix start; None if none are needed."""
         if not any(self.settings.takes_palette(name) for name in names):
             return None
         source = self.palette or self.backgrounds

@@ -77,7 +77,7 @@ class Clear:
 
 
 def failed_precheck(folder: Path) -> bool:
-    """Whether a detector misses usual vehicles by its precheck; one without a precheck does not."""
+    """Says whether a detector's precheck found that it misses usual vehicles; False without one."""
     from skyproof.results.precheck import PRECHECK_FILE, misses_vehicles, read_precheck
 
     return (folder / PRECHECK_FILE).is_file() and misses_vehicles(read_precheck(folder))

@@ -158,7 +158,7 @@ class Precheck:
 
 
 def _known(folder: Path, wanted: MeasuredOn) -> PrecheckRecord:
-    """The stored record of a detector; one of other weights, scenes or images is refused."""
+    """Returns a detector's stored record; refuses one of other weights, scenes or images."""
     from skyproof.detectors.card import read_card
     from skyproof.results.precheck import PRECHECK_FILE, read_precheck
 

@@ -63,7 +63,7 @@ class Vehicles:
     first_number: Suppress[WholeNumber] = 0
 
     def run(self) -> None:
-        """Writes all of them, or nothing."""
+        """Writes all fleets, or nothing."""
         refuse_existing(self.out)
         if self.sources:
             self._combine()
@@ -111,7 +111,7 @@ class Vehicles:
         wrapped: dict[str, WrappedVehicle] = {}
         with progress_bar("vehicles") as update:
             for path, name, scale in how.of_meshes(meshes):
-                # It stands in ids and in names of files.
+                # The name becomes a part of ids and file names.
                 plain = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:100].strip("-")
                 vehicle_id = f"{plain or 'vehicle'}-{how.first_number + len(wrapped):04d}"
                 wrapped[vehicle_id] = wrap_mesh(
@@ -135,15 +135,15 @@ def draw_fleets(
 ) -> None:
     """Writes the four fleets, or nothing.
 
-    Train and validation have buses and lorries, too; attack and test have catalogue paints and own
-    shapes.
+    Train and validation have buses and lorries, too; attack and test have catalogue paints and no
+    random shapes.
     """
     from skyproof.camouflage.random_controls import wear_random_shapes
     from skyproof.randomness import generator_of
     from skyproof.vehicles.fleet import TRAINING_WEIGHTS
 
     with finished_folder(out) as folder:
-        # Numbers go on from split to split: no vehicle is in two of them.
+        # Numbering continues from split to split, so that no vehicle is in two of them.
         first_number = settings.first_number
         for split, count in zip(SPLITS, counts, strict=True):
             chosen = replace(settings, count=count, first_number=first_number)

@@ -1,4 +1,4 @@
 """Blender Cycles as a second renderer: the same scenes, path-traced in worker processes.
 
-This room holds crops and their compositing, the processes, and the one file that runs in Blender.
+The package holds crops and their compositing, processes, and the one file that runs in Blender.
 """

@@ -25,7 +25,7 @@ class Blender:
     version: str
 
     def command(self, script: Path, *arguments: str) -> list[str]:
-        """The command line that runs a Python script inside Blender."""
+        """Returns the command line that runs a Python script inside Blender."""
         if self.is_python:
             return [str(self.path), str(script), *arguments]
         options = ["--background", "--factory-startup", "--python-exit-code", "1", "--python"]
@@ -80,7 +80,7 @@ def _search() -> Path:
 
 
 def _ask(path: Path) -> tuple[bool, str | None]:
-    """Whether it is a Python, and the version of its Blender; None if there is none."""
+    """Says whether `path` is a Python, and the version of its Blender; None if there is none."""
     answer = _output([str(path), "--version"])
     is_python = answer.startswith("Python ")
     if is_python:

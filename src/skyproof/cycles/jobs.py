@@ -33,11 +33,11 @@ _SKY_ROWS, _SKY_COLUMNS = 32, 64
 
 @dataclass(frozen=True)
 class Daylight:
-    """Light on a scene, linear; a white matt surface on open ground sends 1.
+    """Linear light on a scene; a white matt surface on open ground has the value 1.
 
-    The sun's irradiance is across its rays. The sky's radiance is by elevation (90 degrees in the
-    first row) and azimuth (the middle column looks along +x, columns go clockwise from above), for
-    Blender's environment texture; zero below the horizon.
+    The sun's irradiance is that across its rays. The sky's radiance is by elevation (90 degrees in
+    the first row) and azimuth (the middle column looks along +x, columns go clockwise from above),
+    for Blender's environment texture; it is zero below the horizon.
     """
 
     sun_irradiance: tuple[float, float, float]
@@ -57,7 +57,7 @@ def daylight(sun: Sun, sky_light: tuple[float, float, float], clouds: float) -> 
 
 
 def _dome(kind: SkyType, sun: Sun) -> Float[np.ndarray, "32 64"]:
-    """Returns the sky's luminance, scaled so that a white matt surface under it alone sends 1."""
+    """Returns the sky's luminance, scaled to 1 for a white matt surface under the sky alone."""
     elevation = np.pi / 2 - (np.arange(_SKY_ROWS) + 0.5) * np.pi / _SKY_ROWS
     azimuth = np.pi - (np.arange(_SKY_COLUMNS) + 0.5) * 2 * np.pi / _SKY_COLUMNS
     up = np.broadcast_to(np.sin(elevation)[:, None], (_SKY_ROWS, _SKY_COLUMNS))
@@ -83,13 +83,13 @@ class Job:
     arrays: dict[str, np.ndarray]
 
     def stored(self) -> bytes:
-        """The job file: NumPy's .npz, with the numbers as JSON in an array of their own."""
+        """Returns the job file: NumPy's .npz, with the numbers as JSON in an array of their own."""
         buffer = io.BytesIO()
         np.savez(buffer, job=np.array(json.dumps(self.numbers)), **self.arrays)  # type: ignore[arg-type]
         return buffer.getvalue()
 
     def digest(self, blender_version: str) -> str:
-        """Names the result; another worker or Blender gives another name."""
+        """Returns a name for the result, which also depends on the worker and Blender's version."""
         total = _worker_hash().copy()
         total.update(json.dumps([blender_version, self.numbers]).encode())
         for name, values in self.arrays.items():
@@ -100,9 +100,9 @@ class Job:
 
 @torch.no_grad()
 def crop_windows(placed: Placed, margin_px: int, borders_px: Sequence[int]) -> Int[Tensor, "N 4"]:
-    """Left, top, right, bottom of a window around each vehicle, its cast shadow and a margin.
+    """Returns each vehicle's window (left, top, right, bottom) with cast shadow and a margin.
 
-    Windows end at the image's border plus the sensor's blur; a vehicle far off has no area.
+    Windows end at the image's border plus the sensor's blur; that of a vehicle far off has no area.
     """
     points = torch.cat((placed.screen, placed.shadow_screen), dim=1)
     window = torch.cat(
@@ -188,11 +188,11 @@ def _shown(srgb: Float[Tensor, "*S"]) -> np.ndarray:
 
 
 def _textures(vehicles: VehicleBatch) -> np.ndarray:
-    worn = vehicles.worn_texture().detach().cpu()
-    if worn.dtype != torch.uint8:
-        return _shown(worn.clamp(0, 1))
+    textures = vehicles.worn_texture().detach().cpu()
+    if textures.dtype != torch.uint8:
+        return _shown(textures.clamp(0, 1))
     # Each of the 256 values is computed once: a batch of full maps would take seconds.
-    return np.take(_shown(torch.arange(256) / 255), worn.numpy())
+    return np.take(_shown(torch.arange(256) / 255), textures.numpy())
 
 
 def _patch(

@@ -44,7 +44,7 @@ _Crop = tuple[tuple[int, int, int, int], Float[Tensor, "7 _h _w"]]
 class CyclesRenderer:
     """Path-traces a crop around every vehicle in Blender Cycles and lays it over the photograph.
 
-    Sun and sky add up to the photograph's light. Vehicles hide, shade and mirror each other and
+    Sun and sky add up to the photograph's light. Vehicles hide, shade and reflect each other and
     themselves, and exchange light with the photographed ground. Camera, places, labels, blur, noise
     and weather are those of `TorchRenderer`.
 
@@ -69,9 +69,9 @@ class CyclesRenderer:
         self.shared = shared or RenderSettings()
 
     def record(self, scenes: Sequence[Scene]) -> dict[str, Any]:
-        """Its settings, with the blur and noise of these scenes, and Blender's version."""
-        # Settings of the differentiable renderer alone make no difference here, and the ground's
-        # own light is the ground's.
+        """Returns the settings, the blur and noise of these scenes, and Blender's version."""
+        # Settings that only the differentiable renderer uses make no difference here, and the
+        # ground's own light belongs to the ground.
         given = {} if self.shared.light is None else {"light": asdict(self.shared.light)}
         return {
             **given,
@@ -149,7 +149,7 @@ def composite_crops(
     Pixels out of reach keep the photograph's value exactly. Vehicles get the sensor's noise.
 
     A crop is a window (left, top, width, height in image pixels) and linear colour times coverage
-    (3), coverage (1), ratio (3). It shows everything there, so either is right in an overlap.
+    (3), coverage (1), ratio (3). It shows everything there, so any crop is right in an overlap.
     Within the margin the ratio fades out towards a crop's edge, but not at the image's border,
     where the shadow continues.
     """
@@ -191,7 +191,7 @@ def composite_crops(
 def _inwards(
     length: int, margin: int, cut: tuple[bool, bool], like: Tensor
 ) -> Float[Tensor, " length"]:
-    """Rises from 0 outside the first pixel to 1 beyond the margin, and falls at an uncut end."""
+    """Returns weights that rise to 1 over the margin from 0 at each end that is not `cut`."""
     step = torch.arange(length, device=like.device, dtype=like.dtype) + 0.5
     from_first, from_last = (
         torch.full_like(step, torch.inf) if end else way

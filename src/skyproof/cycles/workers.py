@@ -33,7 +33,7 @@ class Workers:
     """Several Blender processes of one thread each, used as a context; the first job starts them.
 
     A result depends on its job alone, for any number of processes. Results stay in the folder
-    `results` under the jobs' digests, or if it is None until the context ends.
+    `results` under the jobs' digests; if it is None, they are kept until the context ends.
     """
 
     def __init__(self, blender: Blender, count: int, results: Path | None = None) -> None:
@@ -64,7 +64,7 @@ class Workers:
         try:
             return list(executor.map(self._one, jobs))
         except BaseException:
-            # Threads wait for their processes: they end at once without them.
+            # The threads wait for their processes, so they end as soon as the processes do.
             self._stop()
             raise
         finally:
@@ -101,7 +101,7 @@ class Workers:
 
 
 def open_workers(rendering: Rendering, results: Path | None = None) -> Workers:
-    """Starts Blender's processes as a context, one per core that may be used by default."""
+    """Opens Blender processes as a context; by default one per core that may be used."""
     of_system = hasattr(os, "sched_getaffinity")
     cores = len(os.sched_getaffinity(0)) if of_system else os.cpu_count() or 1
     return Workers(find_blender(rendering.blender), rendering.workers or cores, results)
@@ -148,7 +148,7 @@ class _Process:
         self._stopped = False
 
     def ask(self, result: Path) -> str:
-        """Runs the job that lies in its file; says why it failed, or nothing."""
+        """Runs the job that was written to `job`; returns why it failed, or an empty text."""
         answer: _Reply | None = None
         try:
             if self.process is None and not self._start():
@@ -171,7 +171,7 @@ class _Process:
         return answer.why if answer.done is None else ""
 
     def stop(self) -> None:
-        """Ends it for good."""
+        """Ends the process for good."""
         self._stopped = True
         self._end()
 
@@ -201,7 +201,7 @@ class _Process:
         return True
 
     def _listen(self) -> _Reply | None:
-        """The next line for us; None if the process has ended."""
+        """Returns the worker's next line for skyproof; None if the process has ended."""
         assert self.process is not None
         assert self.process.stdout is not None
         while line := self.process.stdout.readline(_LONGEST_LINE):

@@ -28,7 +28,7 @@ from skyproof.ranges import (
 
 ANNOTATIONS = "annotations.json"
 
-# Label tools round, and may let a box reach over the edge by a pixel.
+# Label tools round coordinates, so a box may reach over the edge by a pixel.
 _SLACK = 0.005
 _Length = Annotated[float, Meta(ge=0, le=1e9)]
 CATEGORY = {"id": 1, "name": "vehicle", "supercategory": "vehicle"}
@@ -39,9 +39,9 @@ class Annotation:
     """One vehicle in one image, or a region that is not scored (`ignore`).
 
     Attributes:
-        visible_fraction: share of its pixels that are inside the image and not hidden by the
-            photograph.
-        mask: its visible pixels in the whole image.
+        visible_fraction: share of the vehicle's pixels that are inside the image and not hidden by
+            the photograph.
+        mask: the vehicle's visible pixels in the whole image.
         vehicle: id in the fleet.
         placement_index: index of the scene's placement.
         corners_px: rectangle of ground below the vehicle, (x, y) of front left, front right, rear
@@ -129,7 +129,7 @@ def _file_name(scene_id: str) -> str:
 
 
 def encode_rle(mask: Bool[Tensor, "H W"]) -> dict[str, list[int]]:
-    """Uncompressed COCO run lengths: column by column, the first count is of zeros."""
+    """Encodes a mask as uncompressed COCO run lengths: column by column, zeros first."""
     flat = mask.detach().cpu().numpy().ravel(order="F")
     changes = np.flatnonzero(np.diff(flat, prepend=False))
     counts = np.diff(np.concatenate([[0], changes, [flat.size]]))

@@ -172,7 +172,7 @@ class Dataset:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the images' names, sizes, labels and making, not of their pixels or place."""
+        """SHA-256 of the images' names, sizes, labels and rendering, not their pixels or folder."""
         images = zip(self.ids, self.sizes_px, self.boxes, self.ignore, strict=True)
         told = [
             [name, size_px, boxes.tolist(), ignored.tolist()]
@@ -180,7 +180,7 @@ class Dataset:
         ]
         about = [self.gsd_m, self.renderer, self.rendering, told]
         if self.info is not None and self.info.camouflage:
-            # Digests of sets without it stay the same.
+            # Added only if there is one, so that the digests of other sets stay as they were.
             about.append(self.info.camouflage)
         return hashlib.sha256(json.dumps(about, sort_keys=True, default=str).encode()).hexdigest()
 

@@ -1,7 +1,7 @@
-"""The YOLOv5 of 2020, with anchors and objectness, imported.
+"""The YOLOv5 of 2020, with anchors and objectness, for imported checkpoints.
 
-Source of the head: the formulas of github.com/ultralytics/yolov5, release 7.0; its code is not
-used.
+The head follows the formulas of github.com/ultralytics/yolov5, release 7.0, but uses none of its
+code.
 """
 
 from collections.abc import Mapping, Sequence
@@ -105,8 +105,8 @@ class AnchorDetector(TrainableDetector):
         self.vehicle_classes = list(vehicle_classes)
         plain = {name: value for name, value in architecture.items() if name != "anchors"}
         *necks, (sources, _, _, _) = architecture["head"]
-        # Built with Ultralytics' own head for one class, which tells channels and strides, and
-        # whose number of classes cannot be taken for a number of channels.
+        # Built with Ultralytics' own head, which reveals channels and strides. It has one class,
+        # because that number of classes cannot be mistaken for a number of channels.
         plain |= {"nc": 1, "head": [*necks, [sources, 1, "Detect", ["nc"]]]}
         self.model = build_model(plain)
         replaced = self.model.model[-1]
@@ -116,12 +116,12 @@ class AnchorDetector(TrainableDetector):
             torch.tensor(architecture["anchors"], dtype=torch.float32).unflatten(1, (-1, 2)),
             self.model.stride.tolist(),
         )
-        # Ultralytics' model requires of every layer the source of its input, and its number.
+        # Ultralytics' model expects every layer to know the source of its input and its number.
         head.f, head.i, head.type = replaced.f, replaced.i, "AnchorHead"
         self.model.model[-1] = head
 
     def loss(self, images: Images, targets: Sequence[Boxes]) -> Float[Tensor, " B"]:
-        """The source's loss of objectness per image against an empty truth, padding included."""
+        """Returns YOLOv5's objectness loss per image for an empty truth, padding included."""
         check_targets(images, targets)
         levels = self._answers(images).levels
         height_px, width_px = (side * self._head.strides_px[0] for side in levels[0].shape[2:4])

@@ -1,4 +1,4 @@
-"""Any callable as a detector, whose answers are checked: it may fail, or answer nonsense."""
+"""Uses any callable as a detector, and checks its answers: it may fail, or return nonsense."""
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
@@ -27,10 +27,10 @@ class BlackBoxDetector(Detector):
     """A detector known only by its detections, which are checked.
 
     A callable, or the method `detect` of an object, takes sRGB images `[B, 3, H, W]` in [0, 1] and
-    gives boxes `[K, 4]` (left, top, right, bottom in pixels) and scores `[K]` in [0, 1] of each
+    returns boxes `[K, 4]` (left, top, right, bottom in pixels) and scores `[K]` in [0, 1] for each
     image: as a pair, or as attributes or items called `boxes` and `scores`. Its name in tables is
-    that of the card, `name`, or its own `name` or `__name__`. With `vehicle_classes` an answer
-    also has `labels` `[K]`, the classes of its boxes: names, or numbers that are compared as text.
+    that of the card, else `name`, else its own `name` or `__name__`. With `vehicle_classes`,
+    answers also have `labels` `[K]`, the boxes' classes: names, or numbers compared as text.
     """
 
     _vehicle_classes: frozenset[str]
@@ -46,7 +46,7 @@ class BlackBoxDetector(Detector):
         self.name = own if name is None else name
         if card is not None:
             self.set_card(card)
-        # The answers of another one are checked here, so once.
+        # Unwrapped, so that the answers of another BlackBoxDetector are checked only once.
         wrapped: Any = detector
         if isinstance(detector, BlackBoxDetector):
             wrapped = detector._detect
@@ -107,7 +107,7 @@ class BlackBoxDetector(Detector):
         return None if wrapped is None else BlackBoxDetector(wrapped, self.name)
 
     def _are_meant(self, answer: Any, count: int) -> list[bool]:
-        """Which boxes of an answer are of the classes that are looked for; all without classes."""
+        """Says which boxes of an answer belong to the wanted classes: all, if none were named."""
         try:
             classes = _classes(answer) if count else []
             if len(classes) != count:
@@ -143,9 +143,9 @@ class BlackBoxDetector(Detector):
 
 
 def suppressed(found: Detections) -> Detections:
-    """Keeps the best of boxes of several vehicle classes that overlap.
+    """Keeps the best of overlapping boxes of several vehicle classes.
 
-    Most programs suppress class by class, so a van that may also be a car comes twice.
+    Most programs suppress class by class, so a van that may also be a car is reported twice.
     """
     # NaN stays, so that a later check notices it.
     likely = ~(found.scores < LOWEST_SCORE)
@@ -161,11 +161,11 @@ def checked_answers(
     remedy: str = "correct it",
     are_meant: Callable[[Any, int], list[bool]] | None = None,
 ) -> list[Detections]:
-    """Checks what the detector of a name answers to images of so many pixels, width first.
+    """Checks the answers of the detector `name` to images of `sizes_px`, width first.
 
     The result is sorted by falling score and cut at the borders of the images. `are_meant` gets an
-    answer and its number of boxes, and says which of them count. A DetectorAnswerError says what
-    cannot be an answer, and what it looks like.
+    answer and its number of boxes, and says which of them count. A DetectorAnswerError says what is
+    wrong with an answer, and which mistake it suggests.
     """
     beginning = f"The detector {name} gave an answer that cannot be one: "
     try:
@@ -178,7 +178,7 @@ def checked_answers(
 
 
 class _Wrong(Exception):
-    """An answer that cannot be one: what was expected, and what came."""
+    """An invalid answer: what was expected, and what came."""
 
 
 def _checked(
@@ -203,7 +203,7 @@ def _checked(
     turned = (boxes[:, 2:] < boxes[:, :2]).any(1)
     outside = (boxes[:, :2] >= limits[:2]).any(1) | (boxes[:, 2:] <= 0).any(1)
     if bool(turned.any()):
-        # Boxes by middle and size, or by corner and size, reach half their size beyond either.
+        # If the last two numbers are a size, a box reaches half of it beyond the first two.
         sized = bool((boxes >= 0).all() and (boxes[:, :2] + boxes[:, 2:] / 2 <= limits[:2]).all())
         unit = " in fractions of the image" if float(boxes.max()) <= 1 else ""
         raise _Wrong(
@@ -230,7 +230,7 @@ def _numbers(part: Any) -> Tensor:
     if isinstance(part, Tensor):
         # NumPy refuses what is sparse, nested or without numbers.
         return torch.from_numpy(part.detach().float().cpu().numpy())
-    # A copy, because torch takes no array that runs backwards.
+    # A copy, because torch refuses arrays with negative strides.
     return torch.from_numpy(np.array(part, dtype=np.float64)).float()
 
 

@@ -17,8 +17,8 @@ def training_batch(
 ) -> tuple[Float[Tensor, "B 3 H W"], list[Tensor]]:
     """Makes the images and boxes of one step, counted from 0.
 
-    They depend on seed and step alone, so that a resumed training is exact. Of an image wider or
-    higher than 384 px (the paper's tile, section 5.2) a random window is shown; smaller ones are
+    They depend on seed and step alone, so that a resumed training is exact. An image wider or
+    higher than 384 px (the paper's tile, section 5.2) is cut to a random window; smaller images are
     padded with grey to the largest of the batch. Images are sRGB in [0, 1], boxes `[n, 4]` pixel
     xyxy.
     """
@@ -31,7 +31,7 @@ def training_batch(
         orders[epoch] = torch.randperm(count, generator=shuffle)
     generator = torch.Generator().manual_seed((seed ^ 0x5EED) + 7919 * step)
     indices = [int(orders[position // count][position % count]) for position in positions]
-    # The view of each: a window, with ignore regions masked, turned and mirrored.
+    # Each image is cut to a window, its ignore regions are masked, and it is turned and mirrored.
     images: list[Tensor] = []
     targets: list[Tensor] = []
     for index, decoded in zip(indices, training.images(indices), strict=True):
@@ -60,9 +60,9 @@ def window(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Cuts a random window of at most 384 px a side from an image `[3, H, W]` of any type.
 
-    A smaller image comes back unchanged, without a draw. Every second window is laid over a vehicle
-    if there is one, so that wide images with few vehicles do not show ground alone. A box (pixel
-    xyxy) that the window's edge cuts becomes an ignore region.
+    A smaller image is returned unchanged, without a draw. If there are vehicles, half of the
+    windows are placed over one, so that wide images with few vehicles do not show ground alone. A
+    box (pixel xyxy) that the window's edge cuts becomes an ignore region.
     """
     height, width = image.shape[1:]
     high = min(height, WINDOW_PX)

@@ -30,7 +30,7 @@ ARCHITECTURES = (
     "retinanet_resnet50_fpn_v2",
     *_BY_BACKBONE,
 )
-# The heads of Ultralytics that skyproof can read, without masks, and those whose boxes are turned.
+# The heads of Ultralytics that skyproof can read (without masks), and those with oriented boxes.
 TURNED = ("OBB", "OBB26")
 HEADS = ("Detect", "v10Detect", "Segment", "Segment26", *TURNED)
 # Ultralytics looks a layer's name up among all it imports, functions that open files included, and
@@ -44,15 +44,15 @@ nn.BatchNorm2d nn.Conv2d nn.ConvTranspose2d nn.Identity nn.MaxPool2d nn.Upsample
 _LAYERS = frozenset(_LAYER_NAMES.split())
 _ACTIVATION = re.compile(r"(torch\.)?nn\.[A-Z]\w*\((\w+=[\w.]+|[0-9.]+)?\)")
 
-# Those of LVIS and more: RetinaNet scores each for 200,000 anchors in an image of 1024 px.
+# More than LVIS has: RetinaNet scores each class for 200,000 anchors in an image of 1024 px.
 _MOST_TORCHVISION_CLASSES = 1500
 
 Classes = Annotated[list[Annotated[str, Meta(max_length=200)]], Meta(max_length=5000)]
 
 _Whole = Annotated[int, Meta(ge=-8192, le=8192)]
 _Real = Annotated[float, Meta(ge=-8192, le=8192)]
-# Ultralytics reads a text that is no name as a number or a list. `_check_words` looks at it: a
-# `pattern` in such a nest of types makes msgspec 0.22 crash when the program ends (its issue 717).
+# Ultralytics reads a text that is not a name as a number or a list. `_check_words` refuses those: a
+# `pattern` in such nested types makes msgspec 0.22 crash when the program ends (its issue 717).
 _Word = Annotated[str, Meta(max_length=100)]
 _NAME = re.compile(r"[A-Za-z][\w.()=]*")
 _Plain = bool | _Whole | _Real | _Word | None
@@ -72,7 +72,7 @@ _Anchors = Annotated[list[_Limit], Meta(min_length=2, max_length=20)]
 
 
 class _Architecture(msgspec.Struct):
-    """The fields of an Ultralytics architecture that are no plain values."""
+    """The fields of an Ultralytics architecture that are checked."""
 
     backbone: _Rows
     head: Annotated[_Rows, Meta(min_length=1)]
@@ -95,9 +95,9 @@ class Blueprint:
     The kind is "torchvision", with a name as architecture and classes "0", "1", ..., or
     "ultralytics", with the content of its YAML. Vehicle classes are positions. `image_scale` is
     network pixels per image pixel, `norm_eps` the epsilon of the backbone's batch norm, if
-    torchvision's published weights use another one than its layers. If the checkpoint tells,
-    `side_px` is the side of its training images in network pixels, and `normalised` says whether it
-    sees colours normalised as by torchvision.
+    torchvision's published weights use another one than its layers. `side_px` is the side of the
+    training images in network pixels, if the checkpoint notes it. `normalised` says whether the
+    network expects colours normalised as by torchvision; None if that is not known.
     """
 
     kind: str
@@ -134,13 +134,13 @@ class Blueprint:
 
     @property
     def trainable(self) -> bool:
-        """Whether the network's loss here knows vehicles; not with turned boxes or anchors."""
+        """Whether skyproof can train the network; not with oriented boxes or anchors."""
         plan = self.architecture
         return isinstance(plan, str) or not ("anchors" in plan or plan["head"][-1][2] in TURNED)
 
 
 def check_layers(architecture: Any) -> None:
-    """Refuses a content of an Ultralytics YAML file but plain layers and a detection head."""
+    """Refuses an Ultralytics architecture unless it is plain layers and a detection head."""
     try:
         read = msgspec.convert(architecture, _Architecture)
     except (msgspec.ValidationError, RecursionError) as error:

@@ -18,7 +18,7 @@ from skyproof.ranges import Fraction, GroundResolution, Name, WholeNumber, check
 from skyproof.words import detector_name, listed
 
 REFERENCE_DETECTORS = ("retinanet", "faster_rcnn")
-"""YOLOv5 is trained on the user's machine, because its library has another licence."""
+"""Those that ship trained. YOLOv5 does not, because its library has another licence."""
 
 HARDENED_DETECTORS = ("retinanet_hardened", "faster_rcnn_hardened")
 """Reference detectors after `skyproof harden`, to set beside the plain ones."""
@@ -42,7 +42,7 @@ The 95 % interval of a recall of 90 % is 8 points either way for 50 vehicles, an
 """
 
 PARENT_FILE = "parent.json"
-"""In the folder of a hardened detector: the results of the detector that it was before."""
+"""The file in a hardened detector's folder with the detector's results before hardening."""
 
 _FORMAT = 1
 _REMEDY = "copy the whole folder again, or train or import the detector again"
@@ -66,7 +66,7 @@ class DetectorCard:
             window; those of the first validation image for an imported detector.
         validation: "ap_centre_1m", "ap_iou_50" and "f1" (centre), each 0 to 1.
         threshold_from: source of the threshold, if it was frozen anew.
-        weights_sha256: digest of the stored weights; empty before, and for a black-box detector.
+        weights_sha256: digest of the weights; empty until stored, and for a black-box detector.
     """
 
     format: int = field(default=_FORMAT, kw_only=True)
@@ -91,7 +91,7 @@ class DetectorCard:
 
     @property
     def trainable(self) -> bool:
-        """Whether the detector can be trained here; not if only its answers are known."""
+        """Whether skyproof can train the detector; not if only its detections are known."""
         return bool(self.size) and (self.brought is None or self.brought.trainable)
 
     @property
@@ -174,7 +174,7 @@ def reference_folder(name: str) -> Path:
 
 
 def detector_folder(place: str | Path) -> Path:
-    """The folder of a path, or of the name of a detector that ships; an own folder goes first."""
+    """Returns `place`, or the folder of a shipped detector if `place` only names one."""
     folder = Path(place)
     named = str(place) in SHIPPED_DETECTORS and not folder.exists()
     return REFERENCE_FOLDER / folder.name if named else folder

@@ -21,9 +21,9 @@ from skyproof.errors import StoredFileError
 
 # Places of an averaged network: if there is one, it is the one in use.
 _AVERAGED = re.compile(r"(?<![a-z])(ema|swa)(?![a-z])|averag", re.IGNORECASE)
-# What a network becomes part of when it is wrapped for several devices.
+# The prefix of all tensor names of a network that is wrapped for several devices.
 _WRAPPER = "module."
-# What a part becomes part of when it is compiled.
+# The prefix of the tensor names of a part that is compiled.
 _COMPILED = re.compile(r"(^|(?<=\.))_orig_mod\.")
 # Counters, which some programs leave out, and others add.
 _COUNTERS = ("num_batches_tracked", "n_averaged")
@@ -50,14 +50,14 @@ class StandIn:
 
 
 def read_checkpoint(path: Path) -> Any:
-    """Reads a file of safetensors or of `torch.save`; foreign objects come as `StandIn`."""
+    """Reads a file of safetensors or of `torch.save`; foreign objects become `StandIn`."""
     if not path.is_file():
         raise StoredFileError(f"{path} is missing; give a checkpoint file.")
     try:
         if path.suffix == ".safetensors":
             return load_file(path)
         _refuse_packed(path)
-        # The form of before 2020 lists no names, but its unpickler refuses them itself.
+        # The format from before 2020 lists no names, but its unpickler refuses foreign ones.
         listed = torch.serialization.get_unsafe_globals_in_checkpoint
         names = listed(str(path)) if zipfile.is_zipfile(path) else []
         stand_ins = [
@@ -70,7 +70,7 @@ def read_checkpoint(path: Path) -> Any:
         ):
             return torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:
-        # Damage makes unpicklers raise any exception, and advise to run the file.
+        # A damaged file can raise any exception, and torch's message may advise running it.
         raise StoredFileError(
             f"{path} is not a checkpoint that can be read: {_what_came(path)}; give a file with "
             "weights, as torch.save or safetensors write it. Or export the detector to ONNX, which "
@@ -204,7 +204,7 @@ def _refuse_packed(path: Path) -> None:
 
 
 def _what_came(path: Path) -> str:
-    """Describes a file that is no checkpoint in a few words."""
+    """Describes in a few words a file that cannot be read as a checkpoint."""
     if path.suffix == ".safetensors":
         return "it is no safetensors file, or damaged"
     if path.suffix.lower() == ".onnx":

@@ -16,8 +16,8 @@ SIDE_PX = 256
 """Side of the image that a network is measured with."""
 
 # Several times what the largest published networks of Ultralytics take (200 million numbers, the
-# largest answer 6 million; 97 billion operations; 1,200 parts). Memory and time grow with the
-# pixels from there.
+# largest answer 6 million; 97 billion operations; 1,200 parts). In larger images, memory and time
+# grow with the number of pixels.
 _MOST_NUMBERS = 500_000_000
 _MOST_AT_ONCE = 32_000_000
 _MOST_OPERATIONS = 400_000_000_000
@@ -26,10 +26,10 @@ _MOST_PARTS = 10_000
 
 @contextmanager
 def measured() -> Iterator[None]:
-    """Builds and runs networks without memory for their numbers, and refuses large ones.
+    """Lets the block build and run networks without memory for their numbers; refuses large ones.
 
-    Counted are all weights and answers, those of views included, and the operations of
-    convolutions and matrix products.
+    It counts all weights and outputs, views included, and the operations of convolutions and
+    matrix products.
     """
     parts = 0
 

@@ -24,8 +24,8 @@ PADDING_GREY = 0.45
 LOWEST_SCORE = 0.01
 WINDOW_PX = 384
 """The paper's tile: a window of 48 m holds at most 100 vehicles."""
-# Of a window; as in torchvision, an attacked one may have thousands of candidates above the lowest
-# score.
+# Limits for one window, as in torchvision: an attacked window may have thousands of candidates
+# above the lowest score.
 _MOST_DETECTIONS, _MOST_CANDIDATES = 100, 1000
 SUPPRESSION_IOU = 0.5
 
@@ -55,7 +55,7 @@ class Detector:
     Attributes:
         name: name in tables and file names.
         card: frozen threshold, resolution and origin; not set before a threshold is frozen.
-        window_px: side of the windows of a large image that it is shown.
+        window_px: side of the windows into which a large image is split.
     """
 
     name: str
@@ -120,7 +120,7 @@ class TrainableDetector(nn.Module, Detector):
 
 
 def _suppress(candidates: Candidates, height_px: int, width_px: int) -> list[Detections]:
-    """Clips candidates to the image, and keeps the best that do not overlap, 100 of a window."""
+    """Clips candidates to the image; keeps the best without overlap, at most 100 per window."""
     windows = max(1, height_px * width_px // WINDOW_PX**2)
     found = []
     for boxes, scores, valid in zip(

@@ -43,11 +43,11 @@ _Plan = tuple[str | dict[str, Any], list[str], list[int], float | None]
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A checkpoint file, of which no code runs, and the facts needed to read it.
+    """A checkpoint file, whose code is never run, and the facts needed to read it.
 
     The kind is "torchvision" or "ultralytics". Vehicle classes are names for Ultralytics, label
-    numbers for torchvision (COCO: 3 car, 6 bus, 8 truck), whose name of the architecture is needed.
-    `gsd_m` is what the detector was made for, None for the resolution of the images.
+    numbers for torchvision (COCO: 3 car, 6 bus, 8 truck), which also needs `architecture`. `gsd_m`
+    is the resolution that the detector was made for; None means that of the images.
     """
 
     path: Path
@@ -132,9 +132,9 @@ def read_network(
 def read_blueprint(
     checkpoint: Checkpoint, scale: float
 ) -> tuple[Blueprint, dict[str, Tensor], str]:
-    """Reads a checkpoint; `scale` is the number of its pixels per pixel of the images.
+    """Returns a checkpoint's blueprint and weights, and a text about which weights were taken.
 
-    The text says which of the weights in the file were taken.
+    `scale` is the number of network pixels per image pixel.
     """
     read = {"torchvision": _torchvision, "ultralytics": read_ultralytics}.get(checkpoint.kind)
     if read is None:
@@ -160,7 +160,7 @@ def read_blueprint(
     architecture, classes, vehicles, eps = read(checkpoint, network, state, digest)
     side_px = _noted(content, "train_args").get("imgsz")
     known = type(side_px) is int and 32 <= side_px <= 4096
-    # torchgeo took normalising out in its release 0.8, and does not note its release.
+    # torchgeo stopped normalising in its release 0.8, and checkpoints do not note the release.
     of_torchgeo = {"backbone", "freeze_backbone"} <= _noted(content, "hyper_parameters").keys()
     rest = (checkpoint.path.name, digest, side_px if known else None, None if of_torchgeo else True)
     plan = Blueprint(checkpoint.kind, architecture, classes, vehicles, scale, eps, *rest)
@@ -168,7 +168,7 @@ def read_blueprint(
     taken, *others = [repr(place[:100]) for place in places] or [""]
     if others:
         origin += f", the weights at {taken}, not those at {listed(others[:3])}"
-    # The anchors of an Ultralytics network are taken, too.
+    # The anchors of an Ultralytics network have left `state`, too, but they are used.
     if checkpoint.kind == "torchvision" and len(state) < tensors:
         origin += f", without {tensors - len(state)} tensors beside the network"
     return plan, state, origin
@@ -180,7 +180,7 @@ def _noted(content: Any, name: str) -> Mapping[str, Any]:
 
 
 def _sees_normalised(detector: ImportedDetector, validation: Dataset) -> bool:
-    """Whether normalised colours give the higher AP; the network then sees the better ones."""
+    """Says whether normalised colours give the higher AP, and sets the network accordingly."""
     network: Any = detector.network
     network.normalised = False
     without = validate(detector, validation)["ap_centre_1m"]
@@ -246,7 +246,7 @@ def _load(detector: ImportedDetector, state: dict[str, Tensor], checkpoint: Chec
 def read_ultralytics(
     checkpoint: Checkpoint, network: Any, state: dict[str, Tensor], digest: str
 ) -> _Plan:
-    """Reads the result of `network_of`; anchors of 2020 move from `state` to the architecture."""
+    """Reads a stored network's plan; anchors of 2020 move from `state` to the architecture."""
     if checkpoint.architecture is not None:
         raise ConfigurationError(
             "an Ultralytics checkpoint holds its architecture; leave --architecture out."
@@ -319,7 +319,7 @@ def _with_anchors(
     wanted = re.search(r"nn\.(\w+)", str(stored.get("activation") or "nn.SiLU"))
     before = "torch.nn.modules.activation."
     origins = {part.origin for part, _ in parts_of(network) if part.origin.startswith(before)}
-    # That module holds attention, too.
+    # PyTorch defines its attention layer in the same module.
     found = {origin.removeprefix(before) for origin in origins} - {"MultiheadAttention"}
     if wanted is None or found - {wanted[1]}:
         raise ConfigurationError(

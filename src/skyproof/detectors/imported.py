@@ -56,7 +56,7 @@ _LARGEST_SIDE_PX = 4096
 
 
 class ImportedDetector(TrainableDetector):
-    """A network with imported weights at its own resolution; the best vehicle class scores."""
+    """A network with imported weights at its own resolution; boxes get their best vehicle score."""
 
     size = "brought"
 
@@ -65,7 +65,7 @@ class ImportedDetector(TrainableDetector):
         self.name = name
         self.image_scale = float(blueprint.image_scale)
         self._trainable = blueprint.trainable
-        # A network is used on windows as large as it was trained on.
+        # A network sees windows as large as its training images.
         side_px = (blueprint.side_px or _USUAL_SIDES_PX[blueprint.kind]) / self.image_scale
         least, most = _WINDOWS_PX
         self.window_px = round(min(max(side_px, least), most))
@@ -111,7 +111,7 @@ class ImportedDetector(TrainableDetector):
         return Candidates(found.boxes * ratio, found.scores, found.valid)
 
     def pyramid(self, images: Images) -> tuple[list[Tensor], int]:
-        """See `TrainableDetector.pyramid`; of images at the network's resolution."""
+        """See `TrainableDetector.pyramid`; the features are those at the network's resolution."""
         with self._seeing(images) as scaled:
             return self.network.pyramid(scaled)
 
@@ -122,13 +122,13 @@ class ImportedDetector(TrainableDetector):
         )
 
     def _ratio(self, images: Tensor) -> Tensor:
-        """Factors from the network's pixels to those of `images`, for xyxy."""
+        """Returns the factors from the network's pixels to those of `images`, for xyxy boxes."""
         height, width = self.size_px(images)
         return torch.tensor([images.shape[-1] / width, images.shape[-2] / height]).repeat(2)
 
     @contextmanager
     def _seeing(self, images: Tensor) -> Iterator[Tensor]:
-        """Yields images at the network's resolution; one sentence says that it cannot see them."""
+        """Yields images at the network's resolution; network errors become one sentence."""
         scaled = self._scaled(images)
         try:
             yield scaled
@@ -163,7 +163,7 @@ class ImportedDetector(TrainableDetector):
 
 def _network(blueprint: Blueprint) -> TorchvisionDetector | YoloNetwork | AnchorDetector:
     if isinstance(blueprint.architecture, dict):
-        # The checkpoint gives the names of classes, its architecture the number in the head.
+        # The checkpoint lists class names; its architecture decides how many the head has.
         network: YoloNetwork | AnchorDetector
         if "anchors" in blueprint.architecture:
             known = int(blueprint.architecture.get("nc", 0))
@@ -177,7 +177,7 @@ def _network(blueprint: Blueprint) -> TorchvisionDetector | YoloNetwork | Anchor
                 "the network tells apart; give a checkpoint as Ultralytics saves it."
             )
         return network
-    # torchvision's never resizes here.
+    # `TorchvisionDetector` keeps torchvision's models from resizing.
     model = _torchvision_model(blueprint.architecture, len(blueprint.classes))
     for layer in model.backbone.modules():
         if blueprint.norm_eps is not None and isinstance(layer, nn.BatchNorm2d):
@@ -193,7 +193,7 @@ def _network(blueprint: Blueprint) -> TorchvisionDetector | YoloNetwork | Anchor
 
 
 def _torchvision_model(architecture: str, classes: int) -> Any:
-    """A network as torchvision builds it; of Mask R-CNN the part that finds boxes."""
+    """Builds torchvision's network; of Mask R-CNN only the part that finds boxes."""
     architecture = architecture.replace("maskrcnn", "fasterrcnn")
     if hasattr(detection, architecture):
         build = getattr(detection, architecture)
@@ -210,9 +210,9 @@ def _torchvision_model(architecture: str, classes: int) -> Any:
 
 
 def class_rows(architecture: str, state: Mapping[str, Tensor]) -> tuple[int, str]:
-    """The number of classes in the weights, Faster R-CNN's background included; and a prefix.
+    """Returns the weights' number of classes, with Faster R-CNN's background, and a prefix.
 
-    The names of all tensors that belong to the network begin with it: programs that train wrap the
+    The names of all the network's tensors begin with the prefix: training programs wrap the
     network, and may store other tensors beside it.
     """
     if architecture not in ARCHITECTURES:

@@ -19,9 +19,9 @@ LARGEST_WHOLE_PX = 1024
 _STRIDE_PX = 32
 """Networks pad images to a multiple of it."""
 
-# Two cars long in windows of 48 m.
+# Windows overlap by a quarter of their side: the length of two cars in windows of 48 m.
 _OVERLAP_SHARE = 4
-# Two windows place the same vehicle differently by less than this.
+# Two windows place the same vehicle less than this apart.
 _SEAM_PX = 8
 _BATCH_SIZE = 16
 # A large image leaves less memory.
@@ -29,15 +29,15 @@ _WINDOW_BATCH_SIZE = 8
 
 
 def detect_all(detector: Detector, dataset: Dataset) -> list[Detections]:
-    """Does what `detect_by_each` does for several detectors."""
+    """Returns one detector's detections in every image, as `detect_by_each` does for several."""
     return detect_by_each([detector], dataset)[0]
 
 
 def detect_by_each(detectors: Sequence[Detector], dataset: Dataset) -> list[list[Detections]]:
-    """Gives each detector's detections of every image, in its pixels, by falling score.
+    """Returns each detector's detections in every image, in image pixels, by falling score.
 
     Images are decoded batch by batch, once for all detectors. An image of more than 1024 px a side
-    is split into windows as large as the detector's at most, which overlap by a quarter; the window
+    is split into windows no larger than the detector's, which overlap by a quarter; the window
     whose core holds a detection's centre keeps it, and duplicates at the seams are suppressed. So
     neither memory nor a largest number of detections limits the result on a large image.
     """
@@ -79,14 +79,14 @@ def device_of(thing: object) -> torch.device:
 
 
 def covering_windows(size_px: tuple[int, int], window_px: int = WINDOW_PX) -> list[Window]:
-    """Covers a picture with equal windows, row by row; one covers a side shorter than its own."""
+    """Covers a picture with equal windows, row by row; a side shorter than a window needs one."""
     lefts, width = _starts(size_px[0], window_px)
     tops, height = _starts(size_px[1], window_px)
     return [Window(left, top, width, height) for top in tops for left in lefts]
 
 
 def _starts(side_px: int, window_px: int) -> tuple[list[int], int]:
-    """The starts of the fewest windows along one side, and their smallest length."""
+    """Returns the starts of the fewest windows that cover a side, and their smallest length."""
     if side_px <= window_px:
         return [0], side_px
     overlap_px = window_px // _OVERLAP_SHARE
@@ -101,7 +101,7 @@ def _is_large(size_px: tuple[int, int]) -> bool:
 
 
 def _batches(sizes_px: Sequence[tuple[int, int]]) -> Iterator[list[int]]:
-    """Indices of neighbours of one size, at most a batch; each large image is alone."""
+    """Yields batches of indices of consecutive images of one size; a large image is alone."""
     for size, group in itertools.groupby(range(len(sizes_px)), key=lambda index: sizes_px[index]):
         while part := list(itertools.islice(group, 1 if _is_large(size) else _BATCH_SIZE)):
             yield part
@@ -138,7 +138,7 @@ def moved(boxes: Tensor, window: Window, core: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def cores(windows: Sequence[Window]) -> Float[Tensor, "W 4"]:
-    """The core of each window: slightly beyond the middle of overlaps, open at the border."""
+    """Returns each window's core: to just beyond the middle of overlaps, open at the border."""
     edges = []
     for axis in (0, 1):
         length = windows[0][2 + axis]

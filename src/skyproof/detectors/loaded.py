@@ -1,4 +1,4 @@
-"""Detectors by name, untrained, and as folders: `weights.safetensors` and `detector.json`."""
+"""Builds untrained detectors; stores and loads folders of weights and `detector.json`."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -40,8 +40,8 @@ def build_detector(name: str, size: str, *, generator: torch.Generator) -> Train
             f"expected a detector size out of {', '.join(SIZES)}, got {size[:100]!r}."
         )
     seed = int(torch.randint(2**62, (1,), generator=generator))
-    # The libraries draw initial weights from torch's global generator: it is lent a seed here and
-    # gets its state back.
+    # The libraries draw initial weights from torch's global generator: it is seeded here, and its
+    # state is restored afterwards.
     with torch.random.fork_rng(devices=[]):
         torch.default_generator.manual_seed(seed)
         # Late imports, so that matching and average precision do not load the networks.
@@ -142,7 +142,7 @@ def _load(folder: Path, card: DetectorCard) -> TrainableDetector:
 def load_ensemble(
     folders: Sequence[Path], device: torch.device | str, gsd_m: float, *, apart: bool = False
 ) -> list[TrainableDetector]:
-    """Loads detectors of one resolution; with `apart`, those of one kind take folders' names."""
+    """Loads detectors of one resolution; with `apart`, several of a kind are named by folder."""
     ensemble: list[TrainableDetector] = []
     for folder in folders:
         detector = load_detector(folder)
@@ -167,7 +167,7 @@ def load_ensemble(
 def copy_with_threshold(
     folder: Path, labelled: Mapping[str, Dataset], out: Path, device: torch.device | str
 ) -> str:
-    """Copies a detector with a threshold frozen on labelled images; tells of the change."""
+    """Copies a detector with a threshold frozen on labelled images; returns a sentence on it."""
     with finished_folder(out) as partial:
         (detector,) = load_ensemble([folder], device, read_card(folder).gsd_m)
         images = Dataset.joined(list(labelled.values()))

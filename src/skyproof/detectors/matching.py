@@ -35,10 +35,10 @@ class MatchTable:
 
     It leaves out detections in ignore regions, and vehicles out of sight, whose box has no area.
 
-    The detections that count come best first (equal ones keep their order), and hits found a
-    vehicle. Vehicles come image by image, each with its index among the boxes of its image, the
-    score of the detection that found it at any threshold (0 for none), and the metres between the
-    centres of both (nan for none).
+    The detections that count are sorted by falling score (equal ones keep their order); `hits` are
+    those that found a vehicle. Vehicles are listed image by image, each with its index among the
+    boxes of its image, the score of the detection that found it at any threshold (0 for none), and
+    the metres between the centres of both (nan for none).
     """
 
     images: int
@@ -75,7 +75,7 @@ class MatchTable:
 def match_images(
     detections: Sequence[Detections], labelled: Dataset, *, criterion: Match
 ) -> MatchTable:
-    """Matches a set as `match_detections`; of `labelled` no pixels are read."""
+    """Matches all images of a set by `match_detections`; reads no pixels of `labelled`."""
     if len(detections) != len(labelled):
         raise ConfigurationError(
             f"Got detections for {len(detections)} images but labels for {len(labelled)}."

@@ -32,10 +32,11 @@ _GREY = 114 / 255
 
 
 class OnnxFile:
-    """The detector of an ONNX file; an image is padded to the network's input, or cut to fit it.
+    """The detector of an ONNX file; images are padded to the network's input, or split to fit it.
 
-    Vehicle classes are names, or numbers if it holds none. `gsd_m` is what it was made for, None if
-    metadata tell, or as images. `window_px` is the side of what it sees at once, in image pixels.
+    Vehicle classes are names, or numbers if the file has no names. `gsd_m` is the resolution that
+    the detector was made for; None means that of the metadata, or else of the images. `window_px`
+    is the side of what the detector sees at once, in image pixels.
 
     Raises:
         ConfigurationError: onnxruntime is missing, or the file knows no such class.
@@ -89,9 +90,9 @@ class OnnxFile:
 
     @torch.no_grad()
     def detect(self, images: Float[Tensor, "B 3 H W"]) -> list[dict[str, Any]]:
-        """Finds `boxes` (pixel xyxy), `scores` and `labels` in each of sRGB images in [0, 1].
+        """Returns the `boxes` (pixel xyxy), `scores` and `labels` in each of sRGB images in [0, 1].
 
-        Labels are names of classes, or numbers as text. A box comes once with each of its classes.
+        Labels are class names, or numbers as text. A box is returned once for each of its classes.
         """
         size = [max(1, round(side * self._scale)) for side in images.shape[-2:]]
         seen = functional.interpolate(images.cpu().float(), size, mode="bilinear", antialias=True)
@@ -112,7 +113,7 @@ class OnnxFile:
         """Boxes (xyxy in pixels of the image), scores and class numbers in a window's core."""
         left, top, width, height = window
         found = self._read(*self._run(image[:, top : top + height, left : left + width]))
-        # What lies in the padding is none of the image.
+        # A box that lies in the padding shows nothing of the image.
         boxes = ops.clip_boxes_to_image(found[0], (height, width))
         kept = (found[1] >= LOWEST_SCORE) & (boxes[:, 2:] - boxes[:, :2] > 0.5).all(1)
         boxes, inside = moved(boxes, window, core)
@@ -131,10 +132,10 @@ class OnnxFile:
         return found, *padded.shape[-2:]
 
     def _layout(self, ends_only: bool) -> tuple[str, list[str], int]:
-        """The kind of the outputs, those that count, and the number of classes, 0 if unknown."""
+        """Returns the outputs' kind, the names of those that count, and the class count or 0."""
         outputs, height, width = self._run(torch.full((3, self._side_px, self._side_px), _GREY))
         known, more = len(self._names), self._turned
-        # With masks, each box has as many further numbers as there are maps to mix.
+        # With masks, each box has one further number for every prototype mask.
         more += sum(each.shape[1] for each in outputs.values() if self._masked and each.ndim == 4)
         cells = [height // stride * (width // stride) for stride in (8, 16, 32, 64)]
         objects, queries, tables = list[Any](), list[Any](), list[Any]()
@@ -183,7 +184,7 @@ class OnnxFile:
             scores = table[:, 5:] * table[:, 4:5]
         elif self._kind == "queries":
             logits = rest[0].reshape(rest[0].shape[-2:])
-            # One more class than names is no object.
+            # If there is one class more than names, the last one means no object.
             alone = logits.shape[1] == self._classes
             scores = logits.sigmoid() if alone else logits.softmax(1)[:, :-1]
         fractions = self._in_fractions or self._kind == "queries"
@@ -205,8 +206,8 @@ class OnnxFile:
 
 
 def _class_names(told: Mapping[str, str]) -> dict[int, str]:
-    """The names of classes that Ultralytics (a literal of Python) or Deepness (JSON) notes."""
-    # Cut text cannot be read.
+    """Returns the class names that Ultralytics (as a Python literal) or Deepness (JSON) notes."""
+    # A longer text is cut off, so that it is refused below.
     text = (told.get("names") or told.get("class_names") or "{}")[:_LONGEST_NAMES]
     try:
         listed = ast.literal_eval(text) if "names" in told else json.loads(text)
@@ -217,16 +218,16 @@ def _class_names(told: Mapping[str, str]) -> dict[int, str]:
 
 
 def _opened(path: Path) -> tuple[Any, dict[str, str]]:
-    """The session of a file that runs no code and reads no other file, and its metadata."""
+    """Opens a file that runs no code and reads no other file; returns session and metadata."""
     import onnx
     import onnxruntime
 
     if path.stat().st_size >= 2**31:
         raise ValueError("it has 2 GB or more, which the format does not allow")
     model = onnx.load_model_from_string(path.read_bytes())
-    # A reader of another version of the format could know them.
+    # Another version of the format may give a meaning to fields that are unknown here.
     model.DiscardUnknownFields()
-    # It grows while it is read: bodies of loops, functions and tensors come, too.
+    # The list grows during the loop, so bodies of loops, functions and tensors are checked, too.
     waiting: list[Any] = [model]
     for part in waiting:
         if isinstance(part, onnx.NodeProto) and part.domain not in _DOMAINS:
@@ -239,7 +240,7 @@ def _opened(path: Path) -> tuple[Any, dict[str, str]]:
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 4
     options.intra_op_num_threads = torch.get_num_threads()
-    # The same bytes may also pass for onnxruntime's own format, which nobody checked.
+    # The same bytes may also be valid in onnxruntime's own format, which was not checked.
     options.add_session_config_entry("session.load_model_format", "ONNX")
     content, providers = model.SerializeToString(), ["CPUExecutionProvider"]
     session = onnxruntime.InferenceSession(content, options, providers)

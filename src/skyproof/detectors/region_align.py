@@ -34,7 +34,7 @@ class CentreAlign(ops.MultiScaleRoIAlign):
         boxes: list[Float[Tensor, "_ 4"]],
         image_shapes: list[tuple[int, int]],
     ) -> Float[Tensor, "K C S S"]:
-        """Samples regions (pixel xyxy) on the level that fits their size; they get no gradient."""
+        """Samples regions (pixel xyxy) on the level that fits their size; boxes get no gradient."""
         pyramid = list(x.values())
         side, _ = self.output_size
         # Rows of channels, ordered by pixel, then image, then level.

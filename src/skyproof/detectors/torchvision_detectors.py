@@ -64,8 +64,7 @@ class TorchvisionDetector(TrainableDetector):
         super().__init__()
         self.size = size
         self.model = model
-        # Calling the wrapped model directly would resize; without its transform it fails loudly
-        # instead.
+        # The model's transform would silently resize; without it, a direct call fails loudly.
         self.model.transform = nn.Identity()
 
     def _features(self, images: Tensor) -> tuple[dict[str, Tensor], ImageList]:
@@ -80,7 +79,7 @@ class TorchvisionDetector(TrainableDetector):
         return (images - 0.45) / 0.25
 
     def _outputs(self, images: Tensor) -> tuple[dict[str, Tensor], Tensor]:
-        """The answers of a one-stage network's head for every anchor, and the anchors."""
+        """Returns the outputs of a one-stage network's head for every anchor, and the anchors."""
         named, image_list = self._features(images)
         features = list(named.values())
         # Images of one batch share their size and therefore their anchors.
@@ -179,15 +178,15 @@ class FasterRcnnDetector(TorchvisionDetector):
             region_loss = self._region_loss(image_logits, image_deltas, regions[index], truth)
             total = proposal_loss + region_loss
             if not len(truth):
-                # The library subtracts numbers as large as a logit: the tiny cost of a safely empty
-                # image is lost in their rounding, and would be exactly 0.
+                # PyTorch's loss subtracts numbers as large as a logit: rounding would turn the tiny
+                # loss of an image that is clearly empty into exactly 0.
                 sure = _cost_of_the_sure(objectness[index], image_logits)
                 total = torch.where(total > 0, total, sure)
             losses.append(total)
         return torch.stack(losses)
 
     def candidates(self, images: Images) -> Candidates:
-        """Every proposal's box and score of its best vehicle class; padding rows are not valid."""
+        """Returns every proposal's box and best vehicle score; padding rows are not valid."""
         features, image_list = self._features(images)
         *_, proposals = self._proposal_outputs(features, image_list)
         logits, region_deltas = self._region_outputs(features, proposals, image_list)
@@ -288,7 +287,7 @@ def own_answers(answers: dict[str, Tensor], index: int, *, vehicles: int) -> dic
 
 
 def _cost_of_the_sure(objectness: Tensor, logits: Tensor) -> Tensor:
-    """The loss with an empty truth in a form that stays exact, so above 0, for scores near 0."""
+    """Returns the loss for an empty truth in a form that stays exact, above 0, at low scores."""
     cost = functional.softplus(objectness).sum() / _EMPTY_PROPOSAL_DIVISOR
     if len(logits):
         doubt = logits[:, 1:].logsumexp(dim=1) - logits[:, 0]

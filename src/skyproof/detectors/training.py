@@ -94,10 +94,10 @@ def fit(
     *,
     start_share: float = 0.0,
 ) -> DetectorCard:
-    """Takes the steps of a training, as `train` says; the detector stays in its mode.
+    """Runs the steps of a training as `train` describes; the detector stays in its mode.
 
-    `lessons` gets the steps to take, counted from 0. At each it adds the gradients of the step's
-    images, and gives their mean loss. `card` is completed by threshold and scores of the best
+    `lessons` gets the steps to run, counted from 0. At each it adds the gradients of the step's
+    images, and yields their mean loss. `card` is completed with threshold and scores of the best
     weights. `parts` are further objects that change from step to step. At the last step the
     averaged weights are mixed with a share of those at the start.
     """
@@ -213,7 +213,7 @@ class _Best:
 
 
 def _optimiser(detector: nn.Module, settings: TrainingSettings) -> torch.optim.AdamW:
-    """Makes AdamW with a learning rate of 1, to be multiplied; biases and norms do not decay."""
+    """Makes AdamW with a learning rate of 1, to be scaled; biases and norms do not decay."""
     decayed = [parameter for parameter in detector.parameters() if parameter.ndim > 1]
     others = [parameter for parameter in detector.parameters() if parameter.ndim <= 1]
     groups = [
@@ -236,7 +236,7 @@ def _averaged(detector: nn.Module, settings: TrainingSettings) -> AveragedModel:
                 kept_tensor.copy_(tensor)
 
     averaged = AveragedModel(detector, multi_avg_fn=follow, use_buffers=True)
-    # Counted from 0, it would begin as a copy of the weights after the first step.
+    # With a count of 0, the average would begin as a copy of the weights after the first step.
     averaged.n_averaged.fill_(1)
     return averaged.eval().requires_grad_(False)
 
@@ -272,7 +272,7 @@ def _finished(detector: TrainableDetector, folder: Path, identity: dict[str, Any
 
 
 def _card(detector: TrainableDetector, identity: dict[str, Any], training: Dataset) -> DetectorCard:
-    """What is known of a detector before its training; the threshold is that of the end."""
+    """Returns a detector's card before its training; its threshold is replaced at the end."""
     width, height = training.pictures[0].size_px
     return DetectorCard(
         name=detector.name,

@@ -5,8 +5,8 @@ requires it; installing the extra `skyproof[yolo]` and using this detector bring
 AGPL-3.0 with it, for network services too.
 
 Under the name YOLOv5 Ultralytics now builds YOLOv5u: the backbone and neck of YOLOv5 with the
-anchor-free head and the task-aligned loss of YOLOv8. The YOLOv5 of 2020 with anchors is ours
-(`anchor_detector`), on the backbone and neck that this file builds.
+anchor-free head and the task-aligned loss of YOLOv8. `anchor_detector` implements the YOLOv5 of
+2020 with anchors, on the backbone and neck that this file builds.
 """
 
 import copy
@@ -37,9 +37,9 @@ from skyproof.detectors.detector import (
 )
 from skyproof.errors import ConfigurationError
 
-# Layer widths in Ultralytics' YAML file: its YOLOv5n, one between, and its YOLOv5s.
+# Layer widths in Ultralytics' YAML file: those of its YOLOv5n and its YOLOv5s.
 WIDTH_FACTORS = {"slim": 0.25, "full": 0.5}
-# The assigner gives a vehicle ten anchor points; an empty truth's sum is divided by as many.
+# The assigner gives a vehicle ten anchor points, so the sum of an empty truth is divided by ten.
 POINTS_PER_VEHICLE = 10.0
 # Ultralytics' weight of the class loss.
 CLASS_GAIN = 0.5
@@ -50,8 +50,8 @@ _WINDOWS = {"kernel_size": (1, 31), "stride": (1, 8), "padding": (0, 31), "dilat
 class YoloDetector(TrainableDetector):
     """A network of Ultralytics. A box gets the best score among the vehicle classes.
 
-    An oriented box counts as its upright hull. YOLOv10 and YOLO26 have two heads; the one that the
-    installed Ultralytics reads counts.
+    An oriented box is replaced by the upright box around it. YOLOv10 and YOLO26 have two heads; the
+    one that the installed Ultralytics reads is used.
     """
 
     model: Any
@@ -79,7 +79,7 @@ class YoloDetector(TrainableDetector):
         return Candidates(boxes * strides, scores, torch.ones_like(scores, dtype=torch.bool))
 
     def loss(self, images: Images, targets: Sequence[Boxes]) -> Float[Tensor, " B"]:
-        """Ultralytics' own v8DetectionLoss, image by image on one forward pass.
+        """Returns Ultralytics' own v8DetectionLoss of each image, from one forward pass.
 
         Its sums are already divided by the target scores. With an empty truth they are the class
         loss of all vehicle classes; that is divided by the ten points a vehicle gets. Where a
@@ -111,12 +111,12 @@ class YoloDetector(TrainableDetector):
         return torch.stack(losses)
 
     def _criterion(self) -> Any:
-        """Ultralytics' loss of the head that counts, for vehicles as a single class."""
+        """Returns Ultralytics' loss for the head in use, with vehicles as a single class."""
         from ultralytics.utils import DEFAULT_CFG
         from ultralytics.utils.loss import v8DetectionLoss
 
         self.model.args = DEFAULT_CFG
-        # As in Ultralytics' E2ELoss one point answers for a vehicle in a head without suppression.
+        # As in Ultralytics' E2ELoss, a head without suppression assigns one point to a vehicle.
         assigned = {"tal_topk": 7, "tal_topk2": 1} if self.model.model[-1].end2end else {}
         criterion = v8DetectionLoss(self.model, **assigned)
         criterion.assigner.num_classes = 1
@@ -174,7 +174,7 @@ class YoloNetwork(YoloDetector):
 
 
 def yolov5_architecture(size: str) -> dict[str, Any]:
-    """Gives Ultralytics' YOLOv5n with the layer width of a size."""
+    """Returns the architecture of Ultralytics' YOLOv5n with the layer width of `size`."""
     with _quiet_import():
         from ultralytics.nn.tasks import yaml_model_load
 
@@ -255,7 +255,7 @@ def _refuse_wide_windows(layers: torch.nn.Module) -> None:
 
 
 def upright(half: Tensor, angles: Tensor) -> Tensor:
-    """Turns half sides `[..., 2]` of turned boxes into those of the upright boxes around them."""
+    """Converts half sides `[..., 2]` of oriented boxes to those of upright boxes around them."""
     cosine = angles.cos().abs()
     sine = angles.sin().abs()
     width = half[..., :1] * cosine + half[..., 1:] * sine

@@ -21,12 +21,12 @@ from skyproof.errors import ConfigurationError
 _FLAT_F1 = 0.01
 # An average precision that boxes do not reach by chance if they are read in a wrong way.
 _MISPLACED_AP = 0.5
-# How boxes may be meant that pass for boxes, given the width and height of their image twice.
+# Other readings of four numbers that look like boxes; each gets width and height twice.
 _READINGS: dict[str, Callable[[Tensor, Tensor], Tensor]] = {
     "top, left, bottom, right": lambda boxes, _: boxes[:, [1, 0, 3, 2]],
     "fractions of the image's sides": lambda boxes, sides_px: boxes * sides_px,
 }
-# Made as COCO makes them: at a recall of exactly 0.7 the last bit decides.
+# Computed as COCO does, because at a recall of exactly 0.7 the last bit decides.
 _LEVELS = np.linspace(0, 1, 101)
 
 
@@ -76,7 +76,7 @@ def average_precision(
 
 
 def best_f1_threshold(curve: PrecisionRecall) -> tuple[float, float]:
-    """The score threshold with the largest F1, and that F1; (1.0, 0.0) if no vehicle was found.
+    """Returns the threshold of the largest F1, and that F1; (1.0, 0.0) if no vehicle was found.
 
     Detections of equal score count together. The threshold lies midway to the next lower score, so
     that rounding on another machine moves no detection across it.
@@ -87,14 +87,14 @@ def best_f1_threshold(curve: PrecisionRecall) -> tuple[float, float]:
 
 
 def frozen_threshold(curve: PrecisionRecall) -> tuple[float, float]:
-    """The threshold to freeze, the middle of those with the best F1, and its F1.
+    """Returns the threshold to freeze, the middle of those with the best F1, and its F1.
 
-    The best are all whose F1 is within one point of the largest: the F1 of a good detector is flat
+    The best thresholds have an F1 within one point of the largest: a good detector's F1 is flat
     over a wide range of scores, and chance decides where its peak lies. Drawn anew from 360 images,
     the peak of a Faster R-CNN moved by 0.12 (standard deviation), this middle by 0.02
-    (docs/results/detectors). If few vehicles leave steps larger than a point, it is the peak.
+    (docs/results/detectors). If few vehicles leave steps larger than a point, the peak is returned.
 
-    Difference from the paper: the paper does not tell how it chose its thresholds.
+    Difference from the paper: the paper does not say how it chose its thresholds.
     """
     thresholds, f1 = _f1(curve)
     good = np.flatnonzero(f1 >= f1.max() - _FLAT_F1)

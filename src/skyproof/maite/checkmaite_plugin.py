@@ -85,7 +85,7 @@ class SkyproofCamouflageRun(CapabilityRunBase[SkyproofCamouflageConfig, Skyproof
 class SkyproofCamouflage(
     Capability[SkyproofCamouflageOutputs, od.Dataset, od.Model, od.Metric, SkyproofCamouflageConfig]
 ):
-    """The vehicles that camouflages hide from a model, in matched pairs.
+    """Measures the vehicles that camouflages hide from a model, in matched pairs.
 
     It takes one model and datasets of the same images: the first without camouflage, each of the
     others with one, as `skyproof render --camouflage` writes them and `VehicleDataset` opens them.
@@ -145,7 +145,7 @@ class SkyproofCamouflage(
 
 
 def exports() -> dict[str, Any]:
-    """Gives checkmaite the additions to its own capabilities."""
+    """Returns the additions to checkmaite's own capabilities."""
     return {
         "__plugin_api_version__": "1.0.0",
         "SkyproofCamouflage": SkyproofCamouflage,

@@ -101,7 +101,7 @@ class VehicleDataset:
         return len(self._images)
 
     def __getitem__(self, ind: int, /) -> tuple[np.ndarray, Target, dict[str, Any]]:
-        """Gives image, target and metadata; raises IndexError beyond the last image."""
+        """Returns image, target and metadata; raises IndexError beyond the last image."""
         return self.get_input(ind), self.get_target(ind), self.get_metadata(ind)
 
     def get_input(self, index: int, /) -> np.ndarray:
@@ -109,12 +109,12 @@ class VehicleDataset:
         return self._images.image(self._within(index)).numpy()
 
     def get_target(self, index: int, /) -> Target:
-        """Gives the vehicles in sight, without decoding the image."""
+        """Returns the vehicles in sight, without decoding the image."""
         index = self._within(index)
         return Target.of(self._images.boxes[index][self._in_sight(index)])
 
     def get_metadata(self, index: int, /) -> dict[str, Any]:
-        """Gives the known facts about one image, without decoding it."""
+        """Returns the known facts about one image, without decoding it."""
         index = self._within(index)
         told: dict[str, Any] = {
             "id": self._images.ids[index],
@@ -137,7 +137,7 @@ class VehicleDataset:
 
 
 def scene_metadata(scene: Scene, placements: list[int]) -> dict[str, Any]:
-    """Gives the MAITE metadata of a scene with these placements in sight."""
+    """Returns the MAITE metadata of a scene in which these placements are in sight."""
     return {
         "place": scene.background.tile,
         "vehicles": [scene.placements[place].vehicle for place in placements],
@@ -166,10 +166,10 @@ def _digest(images: Dataset) -> str:
 
 
 class CamouflageAugmentation:
-    """Renders the vehicles of rendered images again, camouflaged, and labels them anew.
+    """Renders the scenes of images again with camouflaged vehicles, and labels them anew.
 
-    It lays no patch over pixels: it renders the scene from its vehicles, light and ground, with the
-    settings of the dataset, which must be one that skyproof rendered. `id` is the camouflage's
+    It pastes no patch over pixels: it renders the scene from its vehicles, light and ground, with
+    the settings of the dataset, which must be one that skyproof rendered. `id` is the camouflage's
     name.
 
     Args:
@@ -180,8 +180,8 @@ class CamouflageAugmentation:
 
     Raises:
         StoredFileError: a folder is missing or damaged.
-        ConfigurationError: the dataset is not rendered, or by another renderer, or this ground does
-            not allow its settings.
+        ConfigurationError: the dataset was not rendered, or not by the differentiable renderer, or
+            this ground does not allow its settings.
     """
 
     def __init__(

@@ -29,8 +29,8 @@ class HiddenVehicles:
     """The share of found vehicles that a model misses after a change: our EASR with its interval.
 
     The model sees the unchanged images once; MAITE's `evaluate` then passes the results on the
-    changed ones: a camouflage, or any other augmentation that keeps every vehicle. `id` identifies
-    an image; `placements` in the metadata, else the order of boxes, identifies a vehicle.
+    changed ones. The change is a camouflage, or any augmentation that keeps every vehicle. `id`
+    identifies an image; `placements` in the metadata, else the order of boxes, a vehicle.
 
     Args:
         model: the MAITE model to evaluate.
@@ -80,7 +80,7 @@ class HiddenVehicles:
         self._sizes_px: dict[str, tuple[int, int]] = {}
         self._numbers: dict[str, list[int]] = {}
         others: set[int] = set()
-        # The intervals are crossed by place and by vehicle.
+        # The place and the name of each vehicle, because the intervals cover both.
         self._cells: dict[_Vehicle, Cell] = {}
         self._before: dict[_Vehicle, bool] = {}
         self.reset()
@@ -113,8 +113,8 @@ class HiddenVehicles:
     ) -> None:
         """Adds the model's results on some changed images.
 
-        Refused is an image that is not among the unchanged ones, that was rendered by another
-        renderer or with other settings, or that came before.
+        It refuses an image that is not among the unchanged ones, that was rendered by another
+        renderer or with other settings, or that was added before.
         """
         changed: set[str] = set()
         for known in metadata_batch:
@@ -142,10 +142,10 @@ class HiddenVehicles:
         self._changed |= changed
 
     def compute(self) -> dict[str, Any]:
-        """Gives the rates, or None if no vehicle was found before, and counts.
+        """Returns the rates, which are None if no vehicle was found before, and the counts.
 
-        `easr` has `easr_low` and `easr_high`, its 95 % interval over places and vehicles, and is
-        the difference of `asr`, with such limits, and `er`. Only images with both versions count.
+        `easr` is `asr` minus `er`. `easr_low` and `easr_high` are its 95 % interval over places and
+        vehicles; `asr` has such limits, too. Only images with both versions count.
         """
         vehicles = [vehicle for vehicle in self._before if vehicle[0] in self._changed]
         cells = sorted({self._cells[vehicle] for vehicle in vehicles})
@@ -156,15 +156,15 @@ class HiddenVehicles:
             for vehicle in vehicles
         )
         counts = count_pairs(pairs, row_of)[None]
-        both, lost, gained = (int(number) for number in counts.sum((0, 1)))
+        both, hidden, gained = (int(number) for number in counts.sum((0, 1)))
         told = {
             "vehicles": len(vehicles),
-            "found_before": both + lost,
-            "hidden": lost,
+            "found_before": both + hidden,
+            "hidden": hidden,
             "found_only_since": gained,
             "places": len({place for place, _ in cells}),
         }
-        if not both + lost:
+        if not both + hidden:
             return {**dict.fromkeys(_RATES), **told}
         group = Group(counts, Sample.draw(cells, generator=numpy_generator(0)))
         asr = mean_interval(group, rate=attack_success_rate, limits=(0.0, 1.0))
@@ -206,7 +206,7 @@ class HiddenVehicles:
         return seen
 
     def _numbers_of(self, image: str, known: Mapping[str, Any], boxes: int) -> list[int]:
-        """The numbers that identify the vehicles of an image, one per box."""
+        """Returns the numbers that identify the vehicles of an image, one per box."""
         before = self._numbers.get(image, range(boxes))
         numbers = list(known.get("placements", before))
         if not boxes == len(numbers) == len(known.get("vehicles", numbers)):

@@ -139,7 +139,7 @@ def _vehicle_labels(
 
 
 def _backgrounds(metadata: Mapping[str, Any]) -> list[int]:
-    """The labels of no object, to which some models give scores as well."""
+    """Returns the labels that mean no object, to which some models give scores as well."""
     known: Mapping[int, str] = metadata["index2label"]
     names = {int(label): str(text).strip("_ ").lower() for label, text in known.items()}
     return [label for label, name in names.items() if name == "background"]
@@ -185,7 +185,7 @@ def found_vehicles(target: Any, labels: Sequence[int]) -> Detections:
         likely = np.where(np.isin(np.asarray(target.labels), labels), scores, 0)
     if likely.shape != (len(boxes),):
         raise ValueError(f"{len(boxes)} boxes with scores of shape {list(scores.shape)}")
-    # Boxes that are surely no vehicle go; NaN stays, so that a later check notices it.
+    # Boxes that are certainly no vehicle are dropped; NaN stays, so that a later check notices it.
     kept = ~(likely <= 0)
     order = np.argsort(-likely[kept], kind="stable")
     # MAITE allows sums to exceed 1 by rounding.
