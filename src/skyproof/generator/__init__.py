@@ -1,5 +1,5 @@
 """Vehicles learnt from photographs: fitted through the renderer, then sampled anew.
 
-Here belongs what makes vehicles of photographed ones. Vehicles that are drawn by rules, or wrapped
-from meshes, belong to `vehicles`; what photographs say of light and place, to `imagery`.
+Code that makes vehicles from photographed ones belongs here. Vehicles that are drawn by rules, or
+wrapped from meshes, belong to `vehicles`; light and places measured on photographs, to `imagery`.
 """

@@ -1,4 +1,4 @@
-"""A generator of vehicles as the paper has one: a textured 3D GAN in UV space, in small.
+"""A generator of vehicles like the paper's: a small textured 3D GAN in UV space.
 
 Source: Pavllo et al., "Convolutional generation of textured 3D meshes" (2020), whose network the
 paper trains anew so that it gives a part map, too. Differences: 64 x 64 texels instead of 512 x
@@ -22,7 +22,7 @@ _LARGEST_M = 20.0
 
 
 class _Block(nn.Module):
-    """Twice the size, then two convolutions beside a short cut."""
+    """Doubles the size, then applies two convolutions beside a shortcut."""
 
     def __init__(self, channels_in: int, channels_out: int) -> None:
         super().__init__()
@@ -39,13 +39,13 @@ class _Block(nn.Module):
 
 
 def _mirrored(half: Tensor) -> Tensor:
-    """Pads a left half as the vehicle goes on: by its reflection; nose and tail are held."""
+    """Pads a left half at the sides by its reflection; values at nose and tail are repeated."""
     sides = torch.cat((half[..., :1], half, half[..., -1:]), dim=-1)
     return F.pad(sides, (0, 0, 1, 1), mode="replicate")
 
 
 class Network(nn.Module):
-    """From latent vectors to left halves: albedo, shares of parts, and displacement."""
+    """Maps latent vectors to left halves: albedo, shares of parts, and displacement."""
 
     mean: Tensor
     spread: Tensor
@@ -60,14 +60,14 @@ class Network(nn.Module):
         self.register_buffer("spread", spread)
 
     def forward(self, latent: Float[Tensor, "N 32"]) -> tuple[Tensor, Tensor, Tensor]:
-        """Gives albedo in [0, 1], shares that sum to 1, and displacement in its own units."""
+        """Returns albedo in [0, 1], shares that sum to 1, and displacement in its own units."""
         maps = self.blocks(self.start(latent).view(-1, 128, 8, 4))
         out = self.head(_mirrored(F.leaky_relu(self.norm(maps), 0.2)))
         albedo, parts, moved = out.split((3, PARTS, 3), dim=1)
         return torch.sigmoid(albedo), torch.softmax(2 * parts, dim=1), moved
 
     def grid(self, moved: Float[Tensor, "N 3 64 32"]) -> Float[Tensor, "N 3 33 17"]:
-        """Gives the surface that a displacement leads to, in metres."""
+        """Returns the surface that a displacement leads to, in metres."""
         coarse = F.interpolate(moved, size=_GRID, mode="bilinear", align_corners=True)
         return self.mean + self.spread * coarse
 
@@ -95,15 +95,15 @@ class AdversarialGenerator:
         return self.decode(torch.randn(LATENT, generator=generator))
 
     def tensors(self) -> dict[str, Tensor]:
-        """Gives all that was learnt, for a file."""
+        """Returns all that was learnt, for a file."""
         return dict(self.network.state_dict())
 
     @classmethod
     def of(cls, tensors: dict[str, Tensor]) -> "AdversarialGenerator":
-        """Takes over what `tensors` gave.
+        """Restores a generator from what `tensors` returned.
 
         Raises:
-            RuntimeError, ValueError: they are those of another network.
+            RuntimeError, ValueError: the tensors are those of another network.
         """
         network = Network(torch.zeros(1, 3, *_GRID), torch.ones(1, 3, *_GRID))
         network.load_state_dict(tensors)

@@ -24,13 +24,13 @@ from skyproof.randomness import generator_of
 _EMA = 0.998
 _CHECKPOINT_EVERY = 100
 _LEAST_SPREAD_M = 0.01
-# Maps are moved along the vehicle by so many texels at most, real and made ones alike: with some
-# hundred vehicles the discriminator would know them by heart.
+# Fitted and made maps are both shifted along the vehicle by at most this many texels: otherwise the
+# discriminator would memorise the few hundred vehicles.
 _JITTER = 2
 
 
 class _Discriminator(nn.Module):
-    """Tells made maps from fitted ones, patch by patch; it sees whole maps, closed around u."""
+    """Tells made maps from fitted ones, patch by patch; it sees whole maps, circular in u."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -48,13 +48,13 @@ class _Discriminator(nn.Module):
 
 
 def _closed(maps: Tensor) -> Tensor:
-    """Pads whole maps: around u they are closed, nose and tail are held."""
+    """Pads whole maps, circularly in u; values at nose and tail are repeated."""
     around = torch.cat((maps[..., -1:], maps, maps[..., :1]), dim=-1)
     return F.pad(around, (0, 0, 1, 1), mode="replicate")
 
 
 def _judged(maps: Tensor, seen: Tensor, shift: int) -> Tensor:
-    """Shows half maps as the discriminator sees them: texels that nobody saw have no colour."""
+    """Returns half maps as the discriminator sees them: unseen texels have no colour."""
     maps = whole(torch.cat((maps[:, :3] * seen, maps[:, 3:], seen), dim=1))
     if shift:
         maps = F.pad(maps, (0, 0, _JITTER, _JITTER), mode="replicate")
@@ -83,7 +83,7 @@ def learn_adversarially(
     moved = F.interpolate(
         (grids - mean) / spread, size=(MAP_PX, MAP_PX // 2), mode="bilinear", align_corners=True
     )
-    # What is seen a little counts almost fully: the measure is one of light, not of knowledge.
+    # Texels seen a little count almost fully, because `seen` measures light, not what is known.
     seen = (vehicles.seen / 0.1).clamp(max=1.0)[:, None].to(device)
     real = torch.cat((vehicles.albedo, vehicles.parts, moved), dim=1).to(device)
     with torch.random.fork_rng(devices=[]):

@@ -22,8 +22,8 @@ from skyproof.vehicles.painting import paint_vehicle
 from skyproof.vehicles.vehicle import TEXTURE_SIZE
 
 LARGEST_MISFIT = 0.05
-"""Largest mean difference in sRGB of a fit that is kept. Drawn vehicles are fitted to 0.004 to
-0.026; beyond it stands another object, or half of the vehicle is hidden."""
+"""Largest mean difference in sRGB of a fit that is kept. Fits of drawn vehicles reach 0.004 to
+0.026; beyond the limit there is another object, or half of the vehicle is hidden."""
 
 _ALONG = (
     *("length", "wheelbase", "front_overhang", "bonnet_length"),
@@ -49,22 +49,22 @@ class Layers:
 
     @classmethod
     def stacked(cls, layers: Sequence[Layers]) -> Layers:
-        """Puts those of several textures together."""
+        """Stacks the layers of several textures."""
         return cls(*(torch.stack(values) for values in zip(*map(_tensors, layers), strict=True)))
 
     def rows(self, index: Int[Tensor, " M"]) -> Layers:
-        """Gives some of several textures."""
+        """Returns the layers of some of several textures."""
         return Layers(*(values[index] for values in _tensors(self)))
 
     def coloured(
         self, paint: Float[Tensor, "*N 3"], glass: Float[Tensor, "*N 3"]
     ) -> Float[Tensor, "*N 3 S S"]:
-        """Gives the texture in these colours, sRGB."""
+        """Returns the texture in these colours, sRGB."""
         painted = self.rest + self.paint_share * paint[..., None, None]
         return painted + self.glass_share * glass[..., None, None]
 
     def at_side(self, side_px: int) -> Layers:
-        """Gives the same layers on a coarser map: means of texels."""
+        """Returns the same layers on a coarser map: means of texels."""
         factor = self.rest.shape[-1] // side_px
         return Layers(*(F.avg_pool2d(values, factor) for values in _tensors(self)))
 
@@ -85,7 +85,7 @@ class Prototype:
 
 
 def draw_prototypes(body_types: Sequence[str], each: int, seed: int) -> list[Prototype]:
-    """Draws as many bodies of every type."""
+    """Draws `each` bodies of every type."""
     prototypes = []
     for body_type in body_types:
         for number in range(each):
@@ -104,7 +104,7 @@ def _prototype(body_type: str, dimensions: BodyDimensions, seed: int) -> Prototy
         trim = generator_of(seed, "prototype")
         texture, parts = paint_vehicle(body, body_type, paint=paint, glass=glass, generator=trim)
         textures.append(texture.float() / 255)
-    # A texel is a mean of its colours, so that differences are shares of them.
+    # A texel is a mean of its colours, so the differences are the shares of paint and glass.
     rest, painted, glazed = textures
     layers = Layers(
         rest,
@@ -156,7 +156,7 @@ class Fits:
         self.done: list[Fit] = []
 
     def state_dict(self) -> dict[str, Any]:
-        """Gives all fits, in one tensor for each value."""
+        """Returns all fits, in one tensor for each value."""
         stored = _STORED if self.done else ()
         return {
             name: torch.stack([torch.as_tensor(getattr(fit, name)) for fit in self.done])
@@ -164,7 +164,7 @@ class Fits:
         }
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Takes over what `state_dict` gave."""
+        """Restores what `state_dict` returned."""
         rows = zip(*(state_dict[name] for name in _STORED if state_dict), strict=True)
         self.done = [
             Fit(name, *map(_value, _STORED, row))
@@ -206,7 +206,7 @@ class FittedVehicles:
 
 
 def fitted_vehicles(fits: Sequence[Fit], prototypes: Sequence[Prototype]) -> FittedVehicles:
-    """Puts fits together with the bodies that they were fitted with."""
+    """Combines fits with the bodies that they were made with."""
     half = MAP_PX // 2
     chosen = [prototypes[fit.prototype] for fit in fits]
     albedo: list[Tensor] = []
@@ -230,13 +230,13 @@ def fitted_vehicles(fits: Sequence[Fit], prototypes: Sequence[Prototype]) -> Fit
 
 
 def fitted_texture(fit: Fit, prototype: Prototype) -> Float[Tensor, "3 512 512"]:
-    """Gives the texture of a fit on its body, sRGB in [0, 1]."""
+    """Returns the texture of a fit on its body, sRGB in [0, 1]."""
     detail = unfolded(fit.detail[None], TEXTURE_SIZE)[0]
     return (prototype.layers.coloured(fit.paint, fit.glass) + detail).clamp(0.0, 1.0)
 
 
 def _stretched(dimensions: BodyDimensions, along: float, across: float) -> BodyDimensions:
-    """Gives the dimensions of a body that is so many times as long and as wide."""
+    """Returns the dimensions of a body stretched by factors along and across."""
     changed = {name: getattr(dimensions, name) * along for name in _ALONG}
     changed |= {name: getattr(dimensions, name) * across for name in _ACROSS}
     return replace(dimensions, **changed)

@@ -26,7 +26,7 @@ from skyproof.vehicles.vehicle import Template, VehicleBatch
 
 _TEXTURE_PX = 128
 _SUPERSAMPLING = 3
-# Means and standard deviations of what a fit may change, before it sees anything.
+# Prior standard deviations of what a fit may change, and the weights of this prior.
 _SHIFT_SD_M = 0.25
 _TURN_SD_RAD = math.radians(4)
 _STRETCH_SD = 0.04
@@ -59,7 +59,7 @@ class _Candidates(nn.Module):
         self.detail = nn.Parameter(torch.zeros(count, 3, MAP_PX, MAP_PX // 2))
 
     def rows(self, rows: Int[Tensor, " M"]) -> "_Candidates":
-        """Gives some of them, to be fitted further."""
+        """Returns some of the candidates, to be fitted further."""
         kept = _Candidates(self._prototypes, self.chosen[rows], self.paint.detach()[rows])
         with torch.no_grad():
             for name, value in self.named_parameters():
@@ -67,7 +67,7 @@ class _Candidates(nn.Module):
         return kept
 
     def vehicles(self) -> VehicleBatch:
-        """Gives them as they are now; differentiable."""
+        """Returns the vehicles as they are now, differentiably."""
         bodies = self._prototypes
         stretch = torch.cat((self.stretch.exp(), torch.ones(len(self.chosen), 1)), dim=1)
         vertices = bodies.vertices[self.chosen] * stretch[:, None]
@@ -81,7 +81,7 @@ class _Candidates(nn.Module):
         )
 
     def improbability(self) -> Float[Tensor, " N"]:
-        """Says how far each is from what one would expect before looking."""
+        """Returns a penalty for each candidate's distance from the prior and for rough detail."""
         glass = self.glass - torch.tensor(GLASS_SRGB)
         terms = (
             (self.shift / _SHIFT_SD_M).square().sum(1)
@@ -126,7 +126,7 @@ class Fitter:
     ) -> None:
         self._tiles = tiles
         self._settings = settings
-        # A photograph has its own noise.
+        # No noise is added, because a photograph has its own.
         self._renderer = TorchRenderer(
             cleared, RenderSettings(supersampling=_SUPERSAMPLING, noise=0.0)
         )
@@ -158,7 +158,7 @@ class Fitter:
     def pictures(
         self, vehicle: Photographed, fit: Fit
     ) -> tuple[Float[Tensor, "3 S S"], Float[Tensor, "3 S S"]]:
-        """Gives the photograph of a vehicle, and the rendered picture of its fit."""
+        """Returns the photograph of a vehicle, and the rendered picture of its fit."""
         candidates = self._of_fit(fit)
         scene = _reversed(vehicle.scene) if fit.reversed else vehicle.scene
         with torch.no_grad():
@@ -203,10 +203,10 @@ class Fitter:
         steps: int,
         with_detail: bool,
     ) -> Float[Tensor, " N"]:
-        """Takes steps down, and returns what is left of each row's error and improbability."""
+        """Takes optimiser steps, and returns each row's remaining error plus improbability."""
         target = self._photograph(vehicle)
         shown = shown_pixels(vehicle)
-        # What is not learnt yet needs no gradient.
+        # The detail needs no gradient before it is fitted.
         candidates.detail.requires_grad_(with_detail)
         groups = [
             {"params": [getattr(candidates, name)], "lr": rate} for name, rate in _RATES.items()

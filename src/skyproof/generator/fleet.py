@@ -40,7 +40,7 @@ def sample_learnt_fleet(
     generator: torch.Generator,
     progress: Callable[[int, int], None] | None = None,
 ) -> Fleet:
-    """Draws a fleet like any other: every camouflage, mask, renderer and table takes it.
+    """Draws a fleet that every camouflage, mask, renderer and table takes like any other.
 
     Body types and paints are the generator's own; the settings add random patterns and shapes. The
     same state of the CPU generator gives the same fleet, byte for byte.

@@ -24,7 +24,7 @@ _COMPONENTS = 24
 _BODY_NOISE = 0.35
 _NEIGHBOURS = 3
 _COLOURS = 6
-# What a stored generator may say: bodies as fits stretch them, and numbers of their size.
+# Limits for a stored generator: bodies as fits stretch them, and numbers of their size.
 _STRETCH, _SLACK_M = 1.5, 1e-3
 _LARGEST = 1e4
 _NAMES = tuple(field.name for field in fields(BodyDimensions))
@@ -35,9 +35,9 @@ class LayeredGenerator:
 
     A latent vector holds the dimensions of a body, the colours of paint and glass in CIELAB, and
     the coefficients of the map on top of them (principal components). A draw of it starts at one
-    fitted vehicle. The body's dimensions go by 0.35 standard deviations of its type towards
-    anywhere, and are drawn towards the type's mean so that their spread stays (a smoothed
-    bootstrap; Silverman and Young 1987). Colours and map go part of the way to one of the three
+    fitted vehicle. The body's dimensions vary by 0.35 standard deviations of its type at random,
+    and are shrunk towards the type's mean so that their spread stays the same (a smoothed
+    bootstrap; Silverman and Young 1987). Colours and map move part of the way to one of the three
     fitted vehicles whose paint is nearest (as SMOTE does; Chawla et al. 2002).
     """
 
@@ -57,7 +57,7 @@ class LayeredGenerator:
 
     @classmethod
     def learn(cls, vehicles: FittedVehicles) -> "LayeredGenerator":
-        """Learns from fitted vehicles; a matter of linear algebra, and done at once."""
+        """Learns from fitted vehicles, by linear algebra alone and so at once."""
         flat = vehicles.detail.flatten(1)
         mean = flat.mean(0)
         count = min(_COMPONENTS, len(flat) - 1)
@@ -65,7 +65,7 @@ class LayeredGenerator:
         _, _, components = torch.linalg.svd((flat - mean).double(), full_matrices=False)
         components = components[:count]
         largest = components.gather(1, components.abs().argmax(1, keepdim=True))
-        # Row by row, as they come back from a file: sums then have the same order too.
+        # Contiguous by row, as read from a file, so that sums have the same order, too.
         components = (components * largest.sign()).float().contiguous()
         dimensions = torch.tensor([astuple(each) for each in vehicles.dimensions])
         colours = [srgb_to_cielab(each) for each in (vehicles.paint, vehicles.glass)]
@@ -86,7 +86,7 @@ class LayeredGenerator:
         noise = torch.randn(bodies, generator=generator)
         body = mean + (1 - _BODY_NOISE**2) ** 0.5 * (self.latents[start, :bodies] - mean)
         body = body + _BODY_NOISE * spread * noise
-        # Dimensions stay among those that were found.
+        # Dimensions stay within the range of the fitted vehicles.
         body = body.clamp(own.amin(0), own.amax(0))
         colours = self.latents[:, bodies : bodies + 3]
         distances = (colours - colours[start]).norm(dim=1)
@@ -120,7 +120,7 @@ class LayeredGenerator:
         return self.decode(body_type, latent, int(torch.randint(2**31, (), generator=generator)))
 
     def tensors(self) -> dict[str, Tensor]:
-        """Gives all that was learnt, for a file."""
+        """Returns all that was learnt, for a file."""
         return {
             "latents": self.latents,
             "detail_mean": self._detail_mean,
@@ -129,10 +129,10 @@ class LayeredGenerator:
 
     @classmethod
     def of(cls, body_types: tuple[str, ...], tensors: dict[str, Tensor]) -> "LayeredGenerator":
-        """Takes over what `tensors` gave.
+        """Restores a generator from what `tensors` returned.
 
         Raises:
-            KeyError, ValueError: they are those of something else.
+            KeyError, ValueError: the tensors are those of something else.
         """
         latents, mean, components = (
             tensors[name] for name in ("latents", "detail_mean", "components")

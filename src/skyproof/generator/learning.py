@@ -34,7 +34,7 @@ from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.vehicles.fleet import FleetSettings
 
 LEAST_VEHICLES = 50
-"""Of fewer, a generator would only repeat them."""
+"""Fewest vehicles to learn from; a generator would only repeat fewer."""
 
 UNSURE_BELOW = 0.002
 """Where the other direction fits worse by no more than this, nose and tail may be exchanged."""
@@ -64,14 +64,14 @@ def learn_vehicles(
     device: torch.device | str = "cpu",
     progress: Callable[[str, int, int], None] | None = None,
 ) -> dict[str, Any]:
-    """Learns a generator of vehicles from photographs, and gives what `generator.json` says.
+    """Learns a generator of vehicles from photographs, and returns the record of `generator.json`.
 
     A stopped run goes on after the last stored fit or step, and ends at the same bytes. Fits do not
-    depend on the method: a copy of `fits/` spares another method them.
+    depend on the method, so a copy of `fits/` saves another method the work.
 
     Args:
         imagery: photographs; each is fitted with its own sharpness and light.
-        settings: how they are fitted, and by which method one learns from them.
+        settings: how vehicles are fitted, and the method that learns from the fits.
         folder: gets the generator (see `load_generator`), `fits/` with sheets of all fits, and
             sheets of samples (see `write_sample_sheets`).
         device: where the network of "gan" is trained; all else works on the CPU.
@@ -158,7 +158,7 @@ def _fit_all(
     progress: Callable[[str, int, int], None] | None,
 ) -> list[Fit]:
     fits = Fits([vehicle.scene.id for vehicle in vehicles])
-    # They serve every method.
+    # The method is left out, because fits serve every method.
     settings = {name: identity["settings"][name] for name in ("seed", "fit")}
     loop = Loop(
         folder,

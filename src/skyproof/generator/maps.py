@@ -9,7 +9,7 @@ from skyproof.vehicles.template import COLUMNS, RINGS
 from skyproof.vehicles.vehicle import TEXTURE_SIZE
 
 MAP_PX = 64
-"""Texels along the side of what is learnt: 8 cm, which is as much as such photographs show."""
+"""Texels along a side of the learnt maps: 8 cm each, as fine as such photographs show."""
 
 _HALF = COLUMNS // 2
 
@@ -25,7 +25,7 @@ def unfolded(half: Float[Tensor, "N C S W"], side_px: int) -> Float[Tensor, "N C
 
 
 def half_grid(vertices: Float[Tensor, "N V 3"]) -> Float[Tensor, "N 3 33 17"]:
-    """Gives the left half of vehicles as a grid: nose pole, rings, tail pole by columns."""
+    """Returns the left half of vehicles as a grid: nose pole, rings, tail pole by columns."""
     rings = vertices[:, : RINGS * COLUMNS].view(-1, RINGS, COLUMNS, 3)[:, :, : _HALF + 1]
     nose, tail = (
         vertices[:, index, None, None].expand(-1, 1, _HALF + 1, 3)
@@ -35,9 +35,9 @@ def half_grid(vertices: Float[Tensor, "N V 3"]) -> Float[Tensor, "N 3 33 17"]:
 
 
 def vertices_of(half: Float[Tensor, "3 33 17"]) -> Float[Tensor, "V 3"]:
-    """Gives the vertices of a left half and its reflection.
+    """Returns the vertices of a left half and its reflection.
 
-    What lies on the mid-plane is put there, and each pole becomes one point.
+    Points of the mid-plane are moved exactly onto it, and each pole becomes one point.
     """
     grid = half.permute(1, 2, 0).clone()
     grid[:, 0, 1] = 0.0
@@ -50,7 +50,7 @@ def vertices_of(half: Float[Tensor, "3 33 17"]) -> Float[Tensor, "V 3"]:
 
 
 def part_map(shares: Float[Tensor, "7 64 32"]) -> UInt8[Tensor, "512 512"]:
-    """Gives for every texel the part that has most of it, symmetrically."""
+    """Returns the part with the largest share of every texel, symmetrically."""
     fine = unfolded(shares[None], TEXTURE_SIZE)[0]
     return fine.argmax(0).to(torch.uint8)
 
@@ -60,7 +60,7 @@ def texture_map(
     shares: Float[Tensor, "7 64 32"],
     parts: UInt8[Tensor, "512 512"],
 ) -> UInt8[Tensor, "3 512 512"]:
-    """Gives the fine texture of a coarse one.
+    """Returns the fine texture of a coarse one.
 
     A texel takes the mean colour of its own part around it, so that edges are as sharp as the part
     map's.
@@ -69,7 +69,7 @@ def texture_map(
     colours = whole(albedo)
     for label in parts.unique().tolist():
         weight = whole(shares)[label].clamp(min=1e-4) ** 2
-        # Where a part is not, its colour goes on from where it is.
+        # Beyond a part, its colour continues from its nearest texels.
         near = F.avg_pool2d(torch.cat((colours * weight, weight[None]))[None], 5, 1, 2)[0]
         own = torch.cat((colours * weight, weight[None])) + 0.05 * near
         fine = F.interpolate(

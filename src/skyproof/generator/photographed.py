@@ -24,7 +24,7 @@ _LARGEST_COVERED = 0.1
 _MARGIN_M = 0.4
 _TOGETHER = "give the tiles, and what skyproof clear made of them"
 _OVERCAST_FROM = 0.99
-# Under an overcast sky the sun's place is of no consequence.
+# Under an overcast sky the sun's place does not matter.
 _ANY_SUN = Sun(0.0, math.pi / 3)
 
 
@@ -38,7 +38,7 @@ class Photographed:
 
     Attributes:
         scene: on the cleared tile, with one placement; of its two headings it has the first one.
-        length_m, width_m: as the label says, or its box lets one guess.
+        length_m, width_m: from the label, or guessed from its box.
         others: the middles of other vehicles nearby, with heading, length and width, in metres and
             radians of the scene; their pixels are not this vehicle's.
     """
@@ -90,7 +90,7 @@ def photographed_vehicles(
 
 
 def shown_pixels(vehicle: Photographed, grown_m: float = _MARGIN_M) -> Bool[Tensor, "S S"]:
-    """Says which pixels of its window show a vehicle, and so much ground on every side."""
+    """Returns which pixels of its window show a vehicle, and a margin of ground on every side."""
     placement = vehicle.scene.placements[0]
     camera = vehicle.scene.camera
     steps = (torch.arange(camera.size_px) + 0.5 - camera.size_px / 2) * camera.gsd_m
@@ -113,7 +113,7 @@ def shown_pixels(vehicle: Photographed, grown_m: float = _MARGIN_M) -> Bool[Tens
 def _fault(
     vehicle: RemovedVehicle, tile: BackgroundTile, cleared: BackgroundSet, size_px: int
 ) -> str | None:
-    """Says why a vehicle cannot be fitted."""
+    """Says why a vehicle cannot be fitted; None if it can be."""
     if vehicle.heading_rad is None or vehicle.length_m is None or vehicle.width_m is None:
         return "its heading is not known"
     if vehicle.length_m / cleared.gsd_m < LEAST_PX:
@@ -131,7 +131,7 @@ def _photographed(
 ) -> Photographed:
     gsd_m = cleared.gsd_m
     vehicle = tile.removed[number]
-    # On whole pixels, so that they are copied; where the tile ends the window is moved inside.
+    # On whole pixels, which are copied exactly; at the tile's edge the window is moved inside.
     half = size_px // 2
     centre_x_px = min(max(round(vehicle.x_px), half), tile.width_px - half)
     centre_y_px = min(max(round(vehicle.y_px), half), tile.height_px - half)

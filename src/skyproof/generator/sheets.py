@@ -52,7 +52,7 @@ def write_fit_sheets(
 
 
 def write_sample_sheets(folder: Path, vehicles: VehicleGenerator, seed: int) -> None:
-    """Writes what shows whether a generator is any good.
+    """Writes a sheet that shows how good a generator is.
 
     `samples.png` has 24 samples from above, finely and as detectors see them, and their part maps.
     """
@@ -104,7 +104,7 @@ def _fit_row(
 
 
 def _cell(picture: UInt8[Tensor, "3 H W"] | Float[Tensor, "3 H W"]) -> Picture:
-    """Pixels of photographs stay pixels; fine pictures are averaged."""
+    """Scales a picture: a photograph's pixels stay visible, fine pictures are averaged."""
     if picture.dtype != torch.uint8:
         picture = (picture.detach() * 255).round().byte()
     small = picture.shape[1] < _SIDE_PX

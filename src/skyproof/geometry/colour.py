@@ -17,7 +17,7 @@ _KNEE = 6 / 29
 
 
 def srgb_to_linear(srgb: Float[Tensor, "*S"]) -> Float[Tensor, "*S"]:
-    """sRGB in [0, 1] to linear light in [0, 1]."""
+    """Converts sRGB in [0, 1] to linear light in [0, 1]."""
     return _SrgbToLinear.apply(srgb)
 
 
@@ -40,7 +40,7 @@ class _SrgbToLinear(torch.autograd.Function):
 
 
 def linear_to_srgb(linear: Float[Tensor, "*S"]) -> Float[Tensor, "*S"]:
-    """Linear light to sRGB; values outside [0, 1] are clipped, as a camera's converter does."""
+    """Converts linear light to sRGB, clipped to [0, 1] as a camera's converter does."""
     linear = linear.clamp(0.0, 1.0)
     # The inner clamp keeps the power's gradient finite at black.
     root = torch.exp(linear.clamp(min=0.0031308).log() * (1 / 2.4))
@@ -48,7 +48,7 @@ def linear_to_srgb(linear: Float[Tensor, "*S"]) -> Float[Tensor, "*S"]:
 
 
 def srgb_to_cielab(srgb: Float[Tensor, "*S 3"]) -> Float[Tensor, "*S 3"]:
-    """sRGB in [0, 1] to CIE 1976 L* a* b* under D65 (CIE 15:2004); L* in [0, 100]."""
+    """Converts sRGB in [0, 1] to CIE 1976 L* a* b* under D65 (CIE 15:2004); L* in [0, 100]."""
     xyz = srgb_to_linear(srgb) @ srgb.new_tensor(_TO_XYZ).T / srgb.new_tensor(_WHITE)
     x, y, z = torch.where(
         xyz > _KNEE**3, xyz.clamp(min=0.0) ** (1 / 3), xyz / (3 * _KNEE**2) + 4 / 29

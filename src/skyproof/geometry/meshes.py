@@ -6,8 +6,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-# Volumes below this share of the mesh's own cube count as touching, not crossing; float64 keeps far
-# below it.
+# Volumes below this share of the cube of the mesh's largest side count as touching, not crossing.
+# Rounding errors of float64 stay far below it.
 _TOUCHING = 1e-13
 _CHUNK = 65_536
 
@@ -15,7 +15,7 @@ _CHUNK = 65_536
 def at_corners(values: Float[Tensor, "N V C"], faces: Int[Tensor, "F 3"]) -> Float[Tensor, "3 C M"]:
     """Returns vertex values at the three corners of every face, mesh by mesh: M = N * F.
 
-    Every corner's every channel is one plane: arithmetic on rows of two or three numbers is slow.
+    Each channel of each corner is one plane, as arithmetic on rows of two or three numbers is slow.
     """
     count, vertices, channels = values.shape
     meshes = torch.arange(count, device=faces.device)[:, None] * vertices
@@ -56,7 +56,7 @@ def enclosed_volume_m3(
 
 @lru_cache(maxsize=8)
 def mesh_edges(faces: Int[Tensor, "F 3"]) -> tuple[Int[Tensor, "E 2"], Int[Tensor, "E 2"]]:
-    """Returns a closed mesh's edges and the two faces of each: in its order, and the opposite."""
+    """Returns a closed mesh's edges and their two faces; the first one has the edge's direction."""
     directed = torch.cat((faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]))
     owner = torch.arange(len(faces), device=faces.device).repeat(3)
     count = int(faces.max()) + 1
@@ -89,7 +89,7 @@ def self_intersections(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]
 
 
 def _near_pairs(triangles: Float[Tensor, "F 3 3"], faces: Int[Tensor, "F 3"]) -> Int[Tensor, "2 P"]:
-    """Returns the pairs without a common vertex whose boxes overlap."""
+    """Returns the pairs of triangles without a common vertex whose bounding boxes overlap."""
     low = triangles.amin(1)
     high = triangles.amax(1)
     overlap = torch.ones(len(faces), len(faces), dtype=torch.bool, device=faces.device).triu(1)

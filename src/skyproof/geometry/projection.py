@@ -1,4 +1,4 @@
-"""The oblique orthophoto projection: the ground stays on the pixel grid, height leans away."""
+"""The oblique orthophoto projection: the ground keeps its pixels, height displaces points."""
 
 import torch
 from jaxtyping import Float

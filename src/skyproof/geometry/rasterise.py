@@ -24,8 +24,8 @@ def rasterise(
     the first face wins.
 
     Vertices lie in samples from the top-left corner of their own `size` x `size` window; depths are
-    metres, smaller is nearer, magnitude below 10 km. With `two_sided` triangles that show their
-    inside are drawn, too, as open meshes need.
+    metres, smaller is nearer, magnitude below 10 km. With `two_sided`, triangles seen
+    from inside are drawn, too, as open meshes need.
 
     Returns:
         Keys that hold depth and face in one integer, `NOTHING_KEY` where a sample is empty.

@@ -25,7 +25,7 @@ def draw_triangles(
     two_sided: bool,
     keys: wp.array3d(dtype=wp.int64),
 ):
-    """Lowers keys to the triangles that are nearer: cut into rows, rows into samples."""
+    """Lowers each sample's key to the nearest triangle, row by row and sample by sample."""
     vehicle, face = wp.tid()
     size = keys.shape[1]
     corner = faces[face]
@@ -56,7 +56,7 @@ def draw_triangles(
     whole = -second - third + wp.vec3(0.0, 0.0, 1.0)
     near = depth[vehicle, corner[0]]
     slope = second * (depth[vehicle, corner[1]] - near) + third * (depth[vehicle, corner[2]] - near)
-    # The end of a row's span on each side of the triangle falls along the rows by these.
+    # Inverse slopes along x, by which each row finds where it crosses the triangle's sides.
     ends = wp.vec3(1.0 / whole[0], 1.0 / second[0], 1.0 / third[0])
     planes = wp.matrix_from_rows(whole, second, third)
     for y in range(first, last + 1):

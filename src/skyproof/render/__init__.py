@@ -1,4 +1,4 @@
 """The differentiable renderer: rasterise, shade, average, blur, lay over the photograph.
 
-Here also belong the datasets and close-ups that are rendered, by this renderer or by another.
+Rendered datasets and close-ups belong here as well, whether by this renderer or another.
 """

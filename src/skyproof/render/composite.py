@@ -52,9 +52,10 @@ def composite(
     """Lays blurred vehicles over the photographs, and adds noise where something was rendered.
 
     I = I_bg * kept * (1 - G(coverage)) + G(coverage * colour), in linear light, where kept is the
-    sun and sky that the blurred shadows leave. The photograph's light decides its black, white and
-    shoulder. A pixel out of reach keeps the photograph's value exactly. A nearer vehicle hides a
-    farther one. Shadows fall on the ground alone. It is differentiable in bodies and shadows.
+    sun and sky that the blurred shadows leave. Black, white and shoulder are those of the
+    photograph's light. A pixel out of reach keeps the photograph's value exactly. A nearer vehicle
+    hides a farther one. Shadows fall on the ground alone. It is differentiable in bodies and
+    shadows.
 
     Differences from the paper: I_bg + G(I_fg - I_bg) (section 3.2) is the same on even ground, but
     lane markings shine through the vehicle. Here the photograph is hidden by as much as the blurred
@@ -64,12 +65,12 @@ def composite(
         photographs: sRGB; written over.
         nearness: orders the vehicles of an image; larger is nearer to the camera.
         seeds: seeds of the noise, one per image.
-        cover: share of each pixel in which the photograph hides all of this.
+        cover: share of each pixel in which the photograph hides vehicles and shadows.
     """
     count, size_px = len(photographs), photographs.shape[-1]
     ground = None if cover is None else photographs.clone()
-    # One window per image, around all that is drawn near it; another of it and its blur, of which
-    # only what lies inside the photograph is worked out.
+    # Each image has one window around all that is drawn near it, and a larger one for its blur, of
+    # which only the part inside the photograph is computed.
     margin_px = max(sensor.blur_radius_px for sensor in sensors)
     origin, size = _whole((bodies.window, shadows.window), scene, count, size_px, margin_px + 1)
     shown_px = min(size + 2 * margin_px, size_px)
@@ -170,9 +171,9 @@ class _Laid(torch.autograd.Function):
 def _whole(
     windows: Sequence[Windows], scene: Int[Tensor, " N"], count: int, size_px: int, margin_px: int
 ) -> tuple[Int[Tensor, "B 2"], int]:
-    """Per image the top-left pixel of one window around all small ones, and their one size.
+    """Returns one window per image around all small ones: its top-left pixel, and the size of all.
 
-    They reach beyond an image by no more than a margin; what is farther out shows nowhere.
+    They reach beyond an image by no more than a margin, because the rest shows nowhere.
     """
     index = scene[:, None].expand(-1, 2)
     far = torch.iinfo(torch.long).max // 4
@@ -230,14 +231,14 @@ def hidden(
     photographs: Float[Tensor, "B 3 H W"],
     cover: Float[Tensor, "B 1 H W"],
 ) -> Float[Tensor, "B 3 H W"]:
-    """Lays what covers the vehicles over them again; other pixels keep their bits."""
+    """Lays the photograph's cover over the vehicles again; other pixels keep their bits."""
     return torch.where(cover > 0, torch.lerp(image, photographs, cover), image)
 
 
 def _drawn(
     placed: Placed, rows: Int[Tensor, " K"], faces: Int[Tensor, "F 3"], count: int
 ) -> Bool[Tensor, "B 1 H W"]:
-    """Returns the pixels of some vehicles and their shadows, and what the blur makes of them."""
+    """Returns the pixels of some vehicles and their shadows, widened by the reach of the blur."""
     size_px = placed.size_px
     drawn = torch.zeros(count, 1, size_px, size_px, device=rows.device)
     for screen in (placed.screen[rows], placed.shadow_screen[rows]):

@@ -23,14 +23,14 @@ from skyproof.vehicles.fleet import Fleet
 from skyproof.vehicles.vehicle import VehicleBatch
 
 AT_A_TIME = 4
-"""Most batches that networks see at a time, which bounds the memory of their activations."""
+"""Most batches that networks process at a time, to bound the memory of their activations."""
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
 def placed_vehicles(fleet: Fleet, scenes: Sequence[Scene]) -> VehicleBatch:
-    """One row per placement, scene by scene, as renderers expect."""
+    """Returns one row per placement, scene by scene, as renderers expect."""
     return fleet.batch([placement.vehicle for scene in scenes for placement in scene.placements])
 
 
@@ -38,7 +38,7 @@ def placed_vehicles(fleet: Fleet, scenes: Sequence[Scene]) -> VehicleBatch:
 def ground_corners(scenes: Sequence[Scene], vehicles: VehicleBatch) -> Float[Tensor, "N 4 2"]:
     """Returns the corners of the rectangle around each vehicle's plan, on the ground, in its image.
 
-    They are pixels (x, y) of front left, front right, rear right and rear left, not cut.
+    They are pixels (x, y) of front left, front right, rear right and rear left, not cut at borders.
     """
     # On the CPU, so that a dataset has the same labels wherever it was drawn.
     plan = vehicles.vertices[..., :2].cpu()
@@ -115,8 +115,8 @@ def in_threads(
 ) -> Iterator[Iterator[Result]]:
     """Yields the results of work in order, from threads that work ahead.
 
-    Two threads on one batch of small operations gain little, on two batches they gain all. Fewer
-    threads than cores share the cores. At most one result per thread is kept in advance.
+    Two threads hardly speed up one batch of small operations, but run two batches at full speed.
+    Fewer threads than cores divide the cores. At most one result per thread is kept in advance.
     """
     threads = torch.get_num_threads()
     torch.set_num_threads(1)

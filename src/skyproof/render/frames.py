@@ -1,4 +1,4 @@
-"""What a renderer hands over: images and where each vehicle is in them."""
+"""A renderer's output: images, and where each vehicle is in them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -48,7 +48,7 @@ class Renderer(Protocol):
     concurrent: bool
 
     def record(self, scenes: Sequence[Scene]) -> dict[str, Any]:
-        """The settings that its images of these scenes depend on, as plain JSON values."""
+        """Returns the settings that its images of these scenes depend on, as plain JSON values."""
         ...
 
     def __call__(

@@ -1,4 +1,4 @@
-"""Samples to pixels: what each vehicle, and its shadow, puts on the pixels of its own window."""
+"""Averages samples to pixels: each vehicle, and each shadow, in a window of its own."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -30,8 +30,8 @@ from skyproof.render.settings import RenderSettings
 from skyproof.render.shadows import shade_rows
 from skyproof.vehicles.vehicle import Template, VehicleBatch
 
-# Metres. The sun's view has one depth for each of its samples, of a surface that it may see aslant.
-# So what is tested stands a little off its surface, and is lit a little behind that depth, too.
+# In metres. The sun's view has one depth per sample, though the surface there may be slanted.
+# Points are therefore tested a little off the surface, and are lit a little behind that depth.
 _OFF_SURFACE_M = 0.05
 
 
@@ -48,7 +48,7 @@ class WindowLayers:
 
 
 class _Topology:
-    """Of a template: faces, texture coordinates of their corners, edges with both faces."""
+    """A template's faces, texture coordinates of their corners, and edges with their two faces."""
 
     def __init__(self, template: Template) -> None:
         self.faces, self.uvs = template.faces.int(), template.uvs[template.face_uvs].float()
@@ -79,14 +79,14 @@ class SeenBodies:
 
     @property
     def memory_bytes(self) -> int:
-        """About how much memory it takes."""
+        """Returns about how many bytes of memory it takes."""
         return sum(each.capacity for each in vars(self.mesh).values() if isinstance(each, wp.array))
 
 
 def see_bodies(
     placed: Placed, window: Windows, cast: Windows, vehicles: VehicleBatch, settings: RenderSettings
 ) -> SeenBodies:
-    """Looks at vehicles as camera and sun do, in a window for each, without their textures."""
+    """Finds what camera and sun see of vehicles, in a window for each, without their textures."""
     topology, faces = _topology(vehicles.template), vehicles.template.faces
     factor, sun_factor = settings.supersampling, settings.shadow_supersampling
     screen = window.samples(placed.screen, factor)
@@ -239,7 +239,7 @@ def _silhouettes_back(
     gradient: Float[Tensor, "N S S 4"],
     to_screen: Float[Tensor, "N V 2"],
 ) -> None:
-    """Adds the gradient of moving silhouettes; a view has vertices, keys, whether of the sun."""
+    """Adds the gradient of moving silhouettes; `view` has vertices, keys, whether of the sun."""
     edges = (seen.topology.edges, seen.topology.edge_faces)
     dim = (len(gradient), len(seen.topology.edges))
     launch(silhouettes_back, dim, seen.mesh, paint, *view, *edges, factor, gradient, to_screen)

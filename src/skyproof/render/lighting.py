@@ -50,7 +50,7 @@ def relative_luminance(
 
 @lru_cache(maxsize=256)
 def mean_luminance(kind: SkyType, sun_elevation_deg: int) -> float:
-    """Computes the luminance of an even sky that lights level ground as much."""
+    """Computes the luminance of an even sky that lights level ground as much as this sky."""
     rows = torch.arange(_ROWS, dtype=torch.float64)
     columns = torch.arange(_COLUMNS, dtype=torch.float64)
     elevation = ((rows + 0.5) / _ROWS * math.pi / 2)[:, None]
@@ -67,8 +67,8 @@ class SceneLights:
     """How B pictures show light, linear and per channel.
 
     `white` and `black` are the shown values of a white matt surface in the open sun, and of no
-    light. From `shoulder` on the picture bends towards its brightest value. `sky` is its share in
-    the light on open ground, `overcast` the share of clouds in the sky's light.
+    light. From `shoulder` on the picture bends towards its brightest value. `sky` is the sky's
+    share of the light on open ground, `overcast` the share of clouds in the sky's light.
     """
 
     white: Float[Tensor, "B 3"]
@@ -98,7 +98,7 @@ class SceneLights:
     def received(self, shown: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 3 H W"]:
         """Returns the light behind shown values: the inverse of `shown`, never below 0.
 
-        A white pixel counts as little brighter than white.
+        A white pixel counts as only a little brighter than white.
         """
         if self._plain:
             return shown
@@ -117,7 +117,7 @@ class SceneLights:
 
     def _levels(self) -> tuple[Tensor, Tensor, Tensor]:
         black = self.black[:, :, None, None]
-        # Where a haze as bright as white leaves nothing to show, a little is left.
+        # Haze as bright as white would leave no contrast, so a little is kept.
         white = torch.maximum(self.white[:, :, None, None], black + LEAST_ROOM)
         return black, white, self.shoulder[:, :, None, None]
 
@@ -133,7 +133,7 @@ def sky_light(light: Light, overcast: float) -> tuple[tuple[float, float, float]
 
 
 def scene_lights(lights: Sequence[Light], scenes: Sequence[Scene], like: Tensor) -> SceneLights:
-    """Returns the light of scenes on photographs that show light so, one for each scene."""
+    """Returns the light of scenes from that of their photographs, one for each scene."""
     skies = [
         sky_light(light, scene.weather.overcast)
         for light, scene in zip(lights, scenes, strict=True)
@@ -152,12 +152,12 @@ def lighting(
 ) -> Float[Tensor, "N 20"]:
     """Returns the light on each vehicle as one row, as `kernels.light.SurfaceLight` has it.
 
-    What is the same all over a vehicle is worked out once for it.
+    Terms that are the same all over a vehicle are computed once.
     """
     elevations = torch.rad2deg(torch.arcsin(placed.sun[:, 2].clamp(0.0, 1.0))).round().tolist()
     means = [[mean_luminance(CLEAR, int(degrees))] for degrees in elevations]
     sky, sun, viewer = lights.sky[placed.scene], placed.sun, placed.viewer
-    # The sun's light across its rays, and the light that ground around sends back.
+    # The sun's light on level ground, and the light that the ground sends back.
     direct = (1 - sky) * placed.sunlit[:, None]
     ground = settings.ground_reflectance * (direct + sky)
     scalars = (

@@ -70,7 +70,7 @@ class LinearTexture:
 
 @cache
 def tables(device: torch.device) -> dict[str, Float[Tensor, "1024 2"]]:
-    """Of sRGB values the linear light, what they reflect, and the slope of that, in pieces."""
+    """Returns linear light, reflectance and its slope as piecewise linear functions of sRGB."""
     x = torch.arange(TABLE + 1, dtype=torch.float64) / TABLE
     with torch.enable_grad():
         linear = srgb_to_linear(x.requires_grad_())
@@ -85,5 +85,5 @@ def tables(device: torch.device) -> dict[str, Float[Tensor, "1024 2"]]:
 
 @cache
 def _of_bytes(device: torch.device) -> Float[Tensor, " 256"]:
-    """What each sRGB byte reflects."""
+    """Returns the reflectance of each sRGB byte."""
     return reflectance(srgb_to_linear(torch.arange(256, dtype=torch.float32) / 255)).to(device)

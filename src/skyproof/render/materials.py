@@ -11,9 +11,9 @@ from skyproof.vehicles.vehicle import Part, VehicleBatch
 CAMOUFLAGE = len(Part)
 """Label of texels that a camouflage covers, beside the parts' own."""
 
-# Black paint, rubber, and glass with seats behind it are no holes: they send some light, under a
-# film of dust. Without it the darkest parts of rendered vehicles were darker than those of
-# photographed ones (docs/results/reality).
+# Black paint, rubber, and glass with seats behind it are not perfectly black: they reflect some
+# light, through a film of dust. Without it the darkest parts of rendered vehicles were darker than
+# those of photographed ones (docs/results/reality).
 _DARKEST = 0.015
 
 # Roughness, clear coat, specular level (0.5 is a refractive index of 1.5), the coat's roughness: as

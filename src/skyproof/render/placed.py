@@ -1,4 +1,4 @@
-"""Vehicles put into their scenes: where they fall in the picture and on the ground, and labels."""
+"""Places vehicles in their scenes: where they are in the picture and on the ground, and labels."""
 
 import math
 from collections.abc import Sequence
@@ -19,19 +19,19 @@ from skyproof.vehicles.vehicle import VehicleBatch
 
 @dataclass(frozen=True)
 class Windows:
-    """One square of whole pixels per vehicle from its top-left pixel (x, y) on, all of one size."""
+    """A square of whole pixels per vehicle, all of one size; `origin` is its top-left (x, y)."""
 
     origin: Int[Tensor, "N 2"]
     size: int
 
     def samples(self, screen: Float[Tensor, "N V 2"], factor: int) -> Float[Tensor, "N V 2"]:
-        """Image pixels to samples of the window."""
+        """Converts image pixels to samples of the window."""
         return (screen - self.origin[:, None].to(screen.dtype)) * factor
 
 
 @torch.no_grad()
 def windows_around(screen: Float[Tensor, "N V 2"]) -> Windows:
-    """Windows that hold every vehicle's points with a pixel to spare.
+    """Returns windows that hold every vehicle's points with a pixel to spare.
 
     Raises:
         NotFiniteError: a point is no number, or infinite.
@@ -100,7 +100,7 @@ def place(scenes: Sequence[Scene], vehicles: VehicleBatch) -> Placed:
 
 
 def nothing_placed(image: Float[Tensor, "B 3 H W"], *, masks: bool) -> Frames:
-    """Images of scenes without any vehicle."""
+    """Returns frames of scenes without any vehicle."""
     nothing = image.new_zeros(0)
     drawn = image.new_zeros(0, *image.shape[2:]).bool() if masks else None
     scene = torch.zeros(0, dtype=torch.long, device=image.device)

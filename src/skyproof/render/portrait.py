@@ -39,7 +39,7 @@ _SUN = Sun(azimuth_rad=math.radians(140), elevation_rad=math.radians(48))
 
 
 class _Asphalt:
-    """Even grey ground, and no sensor to see it by."""
+    """Even grey ground, without a sensor's blur or noise."""
 
     def window(self, window: BackgroundWindow, size_px: int) -> Float[Tensor, "3 H W"]:
         return torch.full((3, size_px, size_px), 0.46)
@@ -63,7 +63,7 @@ def close_up(
     tilt_rad: float = 0.0,
     heading_rad: float = 0.0,
 ) -> UInt8[Tensor, "N 3 H W"]:
-    """Every vehicle alone on grey ground, sharp, in the renderer's own light."""
+    """Renders every vehicle alone on grey ground, without blur, in the renderer's own light."""
     camera = Camera(tilt_rad, math.radians(-100), gsd_m, round(side_m / gsd_m))
     window = BackgroundWindow("plain", 0.0, 0.0, 0.0)
     renderer = TorchRenderer(_Asphalt(), RenderSettings(supersampling=3, blur_sigma_px=0.0))

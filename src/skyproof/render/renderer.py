@@ -31,16 +31,16 @@ class Backgrounds(Protocol):
     """A source of photographs, as `BackgroundSet` is."""
 
     def window(self, window: BackgroundWindow, size_px: int) -> Float[Tensor, "3 H W"]:
-        """A square window, sRGB in [0, 1]."""
+        """Returns a square window, sRGB in [0, 1]."""
 
     def sensor_of(self, window: BackgroundWindow) -> Sensor:
-        """The sensor of its photograph."""
+        """Returns the sensor of its photograph."""
 
     def light_of(self, window: BackgroundWindow) -> Light:
-        """The light of its photograph."""
+        """Returns the light of its photograph."""
 
     def cover_of(self, window: BackgroundWindow, size_px: int) -> Float[Tensor, "H W"] | None:
-        """The share of each pixel under crowns and roofs; None without any."""
+        """Returns the share of each pixel under crowns and roofs; None without any."""
 
 
 def _read(scenes: Sequence[Scene], read: Callable[[Scene], _Value]) -> list[_Value]:
@@ -57,7 +57,7 @@ def _read(scenes: Sequence[Scene], read: Callable[[Scene], _Value]) -> list[_Val
 def photographs(
     backgrounds: Backgrounds, scenes: Sequence[Scene], device: torch.device
 ) -> Float[Tensor, "B 3 H W"]:
-    """The scenes' photographs without vehicles, sRGB."""
+    """Returns the scenes' photographs without vehicles, sRGB."""
     windows = _read(scenes, lambda s: backgrounds.window(s.background, s.camera.size_px))
     return torch.stack(windows).to(device)
 
@@ -81,7 +81,7 @@ def photographed_lights(
 def sensor_record(
     backgrounds: Backgrounds, scenes: Sequence[Scene], settings: RenderSettings
 ) -> dict[str, float | list[float]]:
-    """Blur and noise of vehicles in these scenes: a number, or the sorted list of all values."""
+    """Returns vehicles' blur and noise in these scenes: a number, or the sorted list of values."""
     record: dict[str, float | list[float]] = {}
     for name in ("blur_sigma_px", "noise"):
         values = sorted({getattr(each, name) for each in sensors(backgrounds, scenes, settings)})
@@ -91,10 +91,10 @@ def sensor_record(
 
 @dataclass(frozen=True)
 class GeometryBuffer:
-    """All of some scenes that their vehicles' textures do not change (deferred shading).
+    """Everything in some scenes that their vehicles' textures do not change (deferred shading).
 
-    `ground` holds photographs without vehicles, sRGB, not to be written over, `labels` boxes and
-    other labels by whether masks were wanted; their images count for nothing.
+    `ground` holds photographs without vehicles (sRGB, not to be written over), `labels` boxes and
+    other labels, by whether masks were requested; the images in `labels` are not used.
     """
 
     scenes: tuple[Scene, ...]
@@ -112,14 +112,14 @@ class GeometryBuffer:
 
     @property
     def memory_bytes(self) -> int:
-        """About how much memory it takes."""
+        """Returns about how many bytes of memory it takes."""
         masks = len(self.vertices) * self.ground[0, 0].numel()
         ground_and_cover = 4 * self.ground.nbytes
         bodies = self.bodies.memory_bytes + 4 * self.vertices.nbytes + self.shadows.values.nbytes
         return bodies + ground_and_cover + masks
 
     def serves(self, vehicles: VehicleBatch) -> bool:
-        """Says whether these are the same bodies."""
+        """Says whether the buffer was made for these bodies."""
         return (
             vehicles.template.faces is self.faces
             and vehicles.texture.shape[-1] == self.texture_px
@@ -129,7 +129,7 @@ class GeometryBuffer:
 
 
 class GeometryBuffers:
-    """Buffers in a bounded memory, as many steps redraw scenes; threads may share it."""
+    """Keeps buffers in bounded memory, as many steps redraw scenes; threads may share it."""
 
     most_bytes = 600_000_000
 
@@ -144,9 +144,9 @@ class GeometryBuffers:
         return buffer if buffer is not None and buffer.serves(vehicles) else None
 
     def keep(self, buffer: GeometryBuffer) -> None:
-        """Keeps a buffer in place of others of its scenes, and if there is no room of the youngest.
+        """Keeps a buffer instead of others of its scenes and, if there is no room, of the youngest.
 
-        Drawing too many scenes in turn then finds those at the start of each turn.
+        If too many scenes are drawn in turn, those at the start are then found in every turn.
         """
         if buffer.memory_bytes > self.most_bytes:
             return
@@ -160,7 +160,7 @@ class GeometryBuffers:
 
 
 def _key(scenes: Sequence[Scene]) -> tuple[int, ...]:
-    """A buffer holds its scenes, so that no others have their ids."""
+    """Returns the scenes' ids, which no others have while a buffer keeps these scenes alive."""
     return tuple(map(id, scenes))
 
 
@@ -177,7 +177,7 @@ class TorchRenderer:
 
     Vertex gradients hold for a fixed set of visible triangles plus moving silhouettes of body and
     shadow, with the samples in self-shadow fixed. Vehicles cast no shadow on each other. Masks and
-    visible pixels ignore that one may hide another.
+    visible pixels ignore that one vehicle may hide another.
     """
 
     name = "torch"
@@ -205,7 +205,7 @@ class TorchRenderer:
         if not len(vehicles):
             empty = finish_images(self._ground(scenes, vehicles), scenes)
             return nothing_placed(empty, masks=masks)
-        # Steps of an attack draw other scenes each time; whoever compares camouflages, the same.
+        # Each step of an attack draws other scenes; comparisons of camouflages draw the same ones.
         again = not torch.is_grad_enabled()
         buffer = self._buffers.find(scenes, vehicles) if again else None
         if buffer is None:
@@ -237,7 +237,7 @@ class TorchRenderer:
         return wet_grounds(photographs(self.backgrounds, scenes, vehicles.vertices.device), scenes)
 
     def _look(self, scenes: Sequence[Scene], vehicles: VehicleBatch) -> GeometryBuffer:
-        """Works out everything but the vehicles' textures."""
+        """Computes everything that does not depend on the vehicles' textures."""
         settings, faces = self.settings, vehicles.template.faces
         placed = place(scenes, vehicles)
         window = windows_around(placed.screen)

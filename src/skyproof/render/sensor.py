@@ -20,13 +20,13 @@ def blur_weights(sensors: Sequence[Sensor], radius_px: int, like: Tensor) -> Flo
     distances = torch.arange(radius_px + 1)
     weights = torch.exp(-0.5 * (distances / torch.tensor(sigmas_px, dtype=torch.float64)) ** 2)
     weights = weights.masked_fill(distances > reaches, 0.0)
-    # All but the middle one stand on both sides.
+    # All weights but the middle one count on both sides.
     total = 2 * weights.sum(1, keepdim=True) - weights[:, :1]
     return (weights / total).to(like)
 
 
 def noise_tiles(seeds: Sequence[int]) -> Float[Tensor, "B 3 64 64"]:
-    """Unit noise of each scene's seed, which is tied to pixels and repeats over its image."""
+    """Draws unit noise from each scene's seed; it is tied to pixels and repeats over the image."""
     shape = (3, _NOISE_TILE_PX, _NOISE_TILE_PX)
     drawn = [torch.randn(shape, generator=torch.Generator().manual_seed(seed)) for seed in seeds]
     return torch.stack(drawn)

@@ -1,4 +1,4 @@
-"""What the renderer can be told: light, material and sensor."""
+"""Settings of the renderer: light, material and sensor."""
 
 import math
 from dataclasses import dataclass

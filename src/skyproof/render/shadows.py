@@ -28,6 +28,6 @@ def shade_rows(placed: Placed, cast: Windows, lights: SceneLights) -> Float[Tens
     view = ground.new_tensor([[placed.gsd_m, placed.size_px / 2]]).expand(len(ground), -1)
     where = (cast.origin, ground[:, :2], heading.cos(), heading.sin())
     box = (placed.extent[:, 0, :2], placed.extent[:, 1])
-    # In a photographed shadow there is less sun to lose, of less light in all.
+    # In a photographed shadow there is less sun to lose, and less light in all.
     light = (sunlit, lights.overcast[placed.scene], (1 - sky) * sunlit + sky)
     return torch.cat((*where, *box, *light, view), dim=1)

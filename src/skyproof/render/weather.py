@@ -14,7 +14,7 @@ from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
 from skyproof.scenes.scene import Scene
 
 AIRLIGHT = (0.42, 0.47, 0.54)
-"""Linear light of haze seen from above, before black ground: grey with a little blue."""
+"""Linear light of haze seen from above, over black ground: grey with a little blue."""
 
 _WATER_INDEX = 1.33
 # Any odd constant: the picture's noise must not repeat the noise on its vehicles, which has the
@@ -25,7 +25,7 @@ _NOISE_STREAM = 0x5DEECE66D
 def wet_grounds(
     photographs: Float[Tensor, "B 3 H W"], scenes: Sequence[Scene]
 ) -> Float[Tensor, "B 3 H W"]:
-    """The photographs with wet ground where it rained; the others keep their bits. Written over."""
+    """Wets the ground of photographs in place where it rained; the others keep their bits."""
     for photograph, scene in zip(photographs, scenes, strict=True):
         if scene.weather.wetness > 0:
             photograph.copy_(linear_to_srgb(wet(srgb_to_linear(photograph), scene.weather.wetness)))
@@ -35,7 +35,7 @@ def wet_grounds(
 def wet(ground: Float[Tensor, "*S"], wetness: float) -> Float[Tensor, "*S"]:
     """Returns reflectance under a film of water: a / (a + n^2 (1 - a)), n = 1.33 (Ångström 1925).
 
-    The water's surface throws a part of the light back to the ground. Dark ground keeps 0.56 to 0.7
+    The water's surface reflects part of the light back to the ground. Dark ground keeps 0.56 to 0.7
     of its light (asphalt of 0.1: 0.59; sand of 0.4: 0.68), white ground all of it. Darker channels
     lose more, so colours deepen. The photograph's value stands for the reflectance.
     """
@@ -57,7 +57,7 @@ def finish_images(
 
 
 def jpeg(image: Float[Tensor, "3 H W"], quality: int) -> Float[Tensor, "3 H W"]:
-    """The picture after Pillow's JPEG of this quality; its gradient passes straight through."""
+    """Compresses a picture by Pillow's JPEG of a quality; its gradient passes straight through."""
     return _Jpeg.apply(image, quality)
 
 

@@ -1,5 +1,5 @@
-"""The paper reproduced: its attacks, its tables and figures beside ours, and what backs them.
+"""The reproduction of the paper: its attacks, its tables and figures beside ours, and evidence.
 
-Here belongs all that only a reproduction needs: presets, their steps, and how steps run side by
-side, by Snakemake; and one file for each topic of the report. Nothing else imports it.
+All that only a reproduction needs belongs here: presets, their steps, running steps side by side
+with Snakemake, and one file for each topic of the report. Nothing else imports it.
 """

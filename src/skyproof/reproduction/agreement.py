@@ -34,7 +34,7 @@ _SETS: dict[str, Callable[[str], bool]] = {
 def successes(
     results: Results, names: Iterable[str], renderer: str, *, paired: bool = False
 ) -> Successes:
-    """EASR of attacks, mean over repeats (`paired`: of both renderers) and detectors, resampled."""
+    """Returns mean EASR over repeats (`paired`: of both renderers) and detectors, resampled."""
     wanted = {*names}
     every = results.counts.series
     series: dict[str, list[np.ndarray]] = {}
@@ -55,7 +55,7 @@ def successes(
 def correlated(
     compared: str, label: str, names: Iterable[str], ours: Successes, theirs: Successes
 ) -> list[dict[str, Any]]:
-    """The row of rank correlations between two orders of attacks; none without enough of them.
+    """Returns a row of rank correlations of two orders of attacks, or no row for too few attacks.
 
     Replicates in which an EASR is undefined are left out.
     """
@@ -84,7 +84,7 @@ def is_copy(name: str, rows: Mapping[str, str], names: Collection[str]) -> bool:
 def rank_correlations(
     one: Float[np.ndarray, "*R A"], other: Float[np.ndarray, "*R A"]
 ) -> tuple[Float[np.ndarray, "*R"], Float[np.ndarray, "*R"]]:
-    """Gives Spearman's correlation and Kendall's tau-b by row; nan where all of one are equal."""
+    """Returns Spearman's correlation and Kendall's tau-b by row; nan where all of one are equal."""
     ranks = (stats.rankdata(one, axis=-1), stats.rankdata(other, axis=-1))
     deviations = (own - own.mean(axis=-1, keepdims=True) for own in ranks)
     pairs = (np.sign(values[..., :, None] - values[..., None, :]) for values in (one, other))
@@ -95,14 +95,14 @@ def rank_correlations(
 def _cosine(
     one: Float[np.ndarray, "*R K"], other: Float[np.ndarray, "*R K"]
 ) -> Float[np.ndarray, "*R"]:
-    """Gives the cosine between rows; nan where one of them is zero."""
+    """Returns the cosine between rows; nan where one of them is zero."""
     products = (one * other).sum(axis=-1)
     lengths = np.sqrt((one**2).sum(axis=-1) * (other**2).sum(axis=-1))
     return np.divide(products, lengths, out=np.full_like(lengths, math.nan), where=lengths > 0)
 
 
 def percentile_interval(estimate: float, drawn: Float[np.ndarray, " R"]) -> Interval:
-    """Gives the percentile interval of defined replicates, widened to hold the estimate."""
+    """Returns the percentile interval of defined replicates, widened to hold the estimate."""
     drawn = drawn[~np.isnan(drawn)]
     if len(drawn) == 0:
         return Interval(estimate, math.nan, math.nan)
@@ -175,7 +175,7 @@ def _fixed(paper: Mapping[str, float]) -> Successes:
 
 
 def _rows(run: Reproduction) -> list[dict[str, Any]]:
-    """Ours with both of the paper's columns, at our PM* and at the paper's, and these together."""
+    """Correlates ours with the paper's columns, at our PM* and at its own, and its two columns."""
     same = {
         name: point_name(name, result.perturbation_magnitude)
         for name, result in PAPER_RESULTS.items()
@@ -187,7 +187,7 @@ def _rows(run: Reproduction) -> list[dict[str, Any]]:
         *(row for row in at_same if row["set"] != "textures"),
         *with_paper(run.results, "our EASR and the paper’s on Blender", ON_BLENDER, run.best),
     ]
-    # Where ours cannot be compared, the paper's own agreement is no one's question.
+    # How far the paper's columns agree matters only if ours can be compared.
     if rows:
         columns = (_fixed(ON_RENDERER), _fixed(ON_BLENDER))
         rows += _by_set("the paper’s two columns", *columns)
@@ -195,7 +195,7 @@ def _rows(run: Reproduction) -> list[dict[str, Any]]:
 
 
 def comparison(run: Reproduction) -> dict[str, float]:
-    """Gives our EASR of everything that the paper has, too, in percent; shapes at their PM*."""
+    """Returns our EASR in percent of all attacks that the paper has, too; shapes at their PM*."""
     found = {name: run.row(name) for name in run.names if TEXTURE.fullmatch(name)}
     found |= {family: run.row(name) for family, name in run.best.items()}
     return {
@@ -206,7 +206,7 @@ def comparison(run: Reproduction) -> dict[str, float]:
 
 
 def _ranks(run: Reproduction) -> list[Block]:
-    """Ranks of ours and the paper's, where they differ most on top."""
+    """Lists our ranks and the paper's, with the largest differences on top."""
     ours = comparison(run)
     names = [
         name for name in ours if not name.startswith("R-") and not is_copy(name, run.best, ours)

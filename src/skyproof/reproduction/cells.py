@@ -49,13 +49,13 @@ class Table:
 
 
 def interval_cells(name: str, interval: Interval, scale: float = 1.0) -> dict[str, float]:
-    """Gives an interval's three columns."""
+    """Returns an interval's three columns."""
     columns = interval_columns(name, interval)
     return {column: scale * value for column, value in columns.items()}
 
 
 def in_percent(row: Result | None) -> dict[str, Any]:
-    """Gives a row of results in percent and points; None where there is no row."""
+    """Returns a row of results in percent and points; None where there is no row."""
     values = {} if row is None else row.json()
     rates = {name: values.get(name) for name in _RATES}
     told = ("repeats", "random_draws", "strongest_control")
@@ -65,7 +65,7 @@ def in_percent(row: Result | None) -> dict[str, Any]:
 
 
 def at_equal_alarms(results: Results, row: Result | None) -> dict[str, Any]:
-    """Gives the same row at equal false alarms in percent and points, where it is known."""
+    """Returns the same row at equal false alarms in percent and points, where it is known."""
     cells: dict[str, Any] = {}
     for name in EQUAL_ALARMS:
         at = None if row is None else results.at(row, name)
@@ -78,7 +78,7 @@ def at_equal_alarms(results: Results, row: Result | None) -> dict[str, Any]:
 
 
 def equal_alarm_columns(rows: Sequence[Mapping[str, Any]]) -> "list[tuple[str, Cell]]":
-    """Shows what `at_equal_alarms` gave to any of the rows."""
+    """Returns the columns that `at_equal_alarms` filled in any of the rows."""
     return [
         (f"{words} at {alarms}/km²", rate(f"{key}_at_{name}"))
         for name, alarms in EQUAL_ALARMS.items()
@@ -126,7 +126,7 @@ class TextTable:
 
 @dataclass(frozen=True)
 class Figure:
-    """A picture of a page: by file ending its bytes, none if the run lacks what it would show."""
+    """A picture of a page: its bytes by file ending, none if the run lacks its data."""
 
     name: str
     caption: str
@@ -139,7 +139,7 @@ Block = Heading | TextTable | Figure | str
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic's tables, and what the page says of it; both empty where a run has nothing of it."""
+    """A topic's tables and its blocks on the page; both are empty if a run has nothing on it."""
 
     tables: Sequence[Table] = ()
     blocks: Sequence[Block] = ()
@@ -148,7 +148,7 @@ class Topic:
     def of(
         cls, heading: str, tables: Mapping[str, Sequence[Mapping[str, Any]]], *blocks: Block
     ) -> "Topic":
-        """Gives rows by the names of their tables, and blocks below a heading; "" says nothing."""
+        """Returns a topic of rows by table name, and of blocks below a heading; "" is left out."""
         said = [block for block in blocks if block]
         return cls([Table(*table) for table in tables.items()], [Heading(heading), *said])
 
@@ -164,7 +164,7 @@ def as_markdown(blocks: Sequence[Block]) -> str:
         elif isinstance(block, Figure):
             parts.append(f"![{block.caption}]({block.name}.png)")
         else:
-            # A star by itself is meant; two make bold.
+            # A single star is meant literally; two mark bold text.
             parts.append(_STAR.sub(r"\\*", block))
     return "\n\n".join(parts) + "\n"
 

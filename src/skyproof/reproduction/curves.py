@@ -52,7 +52,7 @@ class Point:
 
 @dataclass(frozen=True)
 class PracticalityCurve:
-    """EASR by rising magnitude of a family such as "C-Fc-seq"; best at PM*, of largest P1."""
+    """EASR of a family such as "C-Fc-seq" by rising magnitude; `best` is at PM*, of largest P1."""
 
     points: Sequence[Point]
     best: Point
@@ -69,7 +69,7 @@ def p1_score(
 
 
 def practicality_curves(tiles: OutcomeCounts) -> dict[str, PracticalityCurve]:
-    """Gives the curve of every family: names with a magnitude ("S-O@0.4"), S-O first.
+    """Returns the curve of every family: names with a magnitude ("S-O@0.4"), S-O first.
 
     Repeats and detectors are averaged, all magnitudes on the same tiles and vehicles. Magnitude 0
     is the texture by itself: "T-Fc" for "C-Fc-seq". For "S-O" it is the vehicle as it was, EASR 0.
@@ -114,7 +114,7 @@ def _curve(tiles: OutcomeCounts, family: str) -> PracticalityCurve:
         Point(pm, easr[pm], float(p1_score(np.array(easr[pm].estimate), 1 - pm)), share)
         for pm, share in zip(magnitudes, shares, strict=True)
     ]
-    # Of equals the first is the largest.
+    # Of equal scores the first counts as the largest.
     best = max(points, key=lambda point: -1.0 if math.isnan(point.p1) else point.p1)
     return PracticalityCurve(points, best)
 
@@ -160,7 +160,7 @@ def curves_figure(curves: Mapping[str, PracticalityCurve]) -> dict[str, bytes]:
         parallel = order == "par"
         if not parallel:
             _draw_curve(left, curve, texture, "-")
-        # In the right panel, what has both orders.
+        # The right panel shows S-O and the textures with both orders.
         if kind == "S" or (order and f"C-{texture}-par" in curves):
             _draw_curve(right, curve, texture, "--" if parallel else "-")
         _draw_paper(right if parallel else left, family, texture)

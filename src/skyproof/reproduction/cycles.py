@@ -85,9 +85,9 @@ def cycles_part(run: Reproduction, rows: Sequence[Mapping[str, Any]]) -> Topic:
 def rates_under(
     results: Results, name: CamouflageName, renderer: str, detector: str | None = None
 ) -> dict[str, Any]:
-    """Gives a row under a renderer in percent and points; None where there is no row.
+    """Returns a row under a renderer in percent and points; None where there is no row.
 
-    Chosen controls count only where this renderer has all: beside fewer, more seems optimised.
+    Chosen controls count only if this renderer has all: with fewer, attacks would seem better.
     """
     row = results.row(name, detector, renderer=renderer)
     rates = in_percent(row) | at_equal_alarms(results, row)
@@ -109,7 +109,7 @@ def _names(run: Reproduction) -> list[str]:
 
 
 def _change(run: Reproduction, names: Collection[str]) -> dict[str, Any]:
-    """Mean EASR under either renderer and their difference, in percent, if both have these."""
+    """Returns mean EASR under both renderers and the difference in percent, if both have these."""
     change = run.results.change([CamouflageName.read(name) for name in names])
     if change is None:
         return {}
@@ -234,7 +234,7 @@ def _placebo(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _originals(run: Reproduction) -> list[Block]:
-    """Says what the detectors make of the images without camouflage."""
+    """Shows the detectors' results on the images without camouflage."""
     rows = []
     for detector in run.detectors:
         told = [_original(run, detector, renderer) for renderer in (RENDERER, CYCLES)]

@@ -1,7 +1,7 @@
 """Where camouflaged vehicles lie among a detector's features: with the ground, or with vehicles?
 
 Differences from the paper (section S7, figure S8): other detectors than RetinaNet, random and
-plainly painted vehicles, and numbers of all features, since two dimensions show what one likes.
+plainly painted vehicles, and numbers of all features, because pictures in two dimensions mislead.
 """
 
 import itertools
@@ -34,20 +34,20 @@ from skyproof.results.statistics.intervals import Interval, cluster_interval, re
 from skyproof.words import detector_name
 
 EVERY = "all"
-"""Stands for all that is shown together in the table's last row of a detector."""
+"""Stands for all classes together, in a detector's last row of the table."""
 
 _FOLDS = 5
 _SEED = 0
 _PERPLEXITY = 30.0
-# t-SNE's neighbours hardly change beyond, and it is several times as fast (its authors' advice).
+# With more, t-SNE's neighbours hardly change, and it takes several times as long (its authors).
 _COMPONENTS = 50
 
-# Of ground and of each kind of vehicle; below there is nothing to see.
+# Fewest boxes of ground and of each kind of vehicle; fewer show nothing.
 _FEWEST = 10
 
 
 def features_part(run: Reproduction) -> Topic:
-    """Gives the numbers by detector and class, the points of the pictures, and what they show."""
+    """Returns the numbers by detector and class, the points of the pictures, and what they show."""
     numbers: list[dict[str, Any]] = []
     points: list[dict[str, Any]] = []
     every = {
@@ -116,7 +116,7 @@ def embed(classes: Mapping[str, Features]) -> tuple[list[dict[str, Any]], list[d
         row |= interval_cells("nearest_own", _share_by_tile(nearest[own] == index, tiles), 100.0)
         row |= interval_cells("nearer_ground", _share_by_tile(ends[own] == 0, tiles), 100.0)
         row["aside"] = None
-        # The two ends of the way are where they are by definition.
+        # The first two classes are the ends of the way by definition.
         if index > 1:
             off = means[index] - means[1] - along[own].mean() * way
             row["aside"] = float(np.linalg.norm(off)) / length**0.5
@@ -154,7 +154,7 @@ def _nearest_means(
     tile_of: np.ndarray,
     among: int,
 ) -> Int[np.ndarray, " N"]:
-    """Gives each box the nearest of the first so many class means, all of other tiles."""
+    """Returns the nearest of the first `among` class means for each box, all of other tiles."""
     from sklearn.model_selection import GroupKFold
     from sklearn.neighbors import NearestCentroid
     from sklearn.pipeline import make_pipeline
@@ -162,10 +162,10 @@ def _nearest_means(
 
     nearest = np.full(len(features), -1)
     folds = GroupKFold(min(_FOLDS, len(set(tile_of))))
-    for learnt, judged in folds.split(features, class_of, tile_of):
-        kept = learnt[class_of[learnt] < among]
+    for fitted, tested in folds.split(features, class_of, tile_of):
+        kept = fitted[class_of[fitted] < among]
         model = make_pipeline(StandardScaler(), NearestCentroid())
-        nearest[judged] = model.fit(features[kept], class_of[kept]).predict(features[judged])
+        nearest[tested] = model.fit(features[kept], class_of[kept]).predict(features[tested])
     return nearest
 
 
@@ -178,7 +178,7 @@ def _mean_by_tile(
     tile_of: np.ndarray,
     limits: tuple[float, float] = (-np.inf, np.inf),
 ) -> Interval:
-    """Gives a mean over boxes with its 95 % interval over tiles, class means being as they are."""
+    """Returns a mean over boxes with its 95 % interval over tiles; class means are held fixed."""
     names, tile = np.unique(tile_of.astype(str), return_inverse=True)
     sums = np.zeros((1, len(names), 3))
     np.add.at(sums[0, :, 0], tile, values)

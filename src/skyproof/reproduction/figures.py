@@ -12,7 +12,7 @@ from skyproof.report.figures import STYLE
 
 @contextmanager
 def figure_style(name: str, *, font: float = 11, title: float = 12) -> Iterator[None]:
-    """Draws with bold titles at the left; `name` tells the SVG's ids from those of others."""
+    """Draws with bold titles at the left; `name` keeps the SVG's ids apart from those of others."""
     titles = {"titlelocation": "left", "titleweight": "bold", "titlesize": title}
     style = STYLE | {f"axes.{key}": value for key, value in titles.items()}
     with plt.rc_context(style | {"svg.hashsalt": name, "font.size": font}):
@@ -20,7 +20,7 @@ def figure_style(name: str, *, font: float = 11, title: float = 12) -> Iterator[
 
 
 def as_files(figure: Figure) -> dict[str, bytes]:
-    """Gives a figure as SVG and as PNG, by file ending, and closes it."""
+    """Returns a figure as SVG and as PNG, by file ending, and closes it."""
     written = {}
     for ending in ("svg", "png"):
         stream = io.BytesIO()

@@ -39,10 +39,10 @@ _APART_M = 1.0
 _CELL_SAMPLES = 4
 
 Levels = Callable[[Float[Tensor, "K 4"]], Int[Tensor, " K"]]
-"""Gives the pyramid level, from 0, of each box, pixel xyxy."""
+"""Returns the pyramid level, from 0, of each box, pixel xyxy."""
 
 Places = Sequence[Mapping[int, Float[Tensor, " 4"]]]
-"""Of every image its boxes, pixel xyxy, by the vehicle that each belongs to."""
+"""The boxes of every image, pixel xyxy, by the vehicle that each belongs to."""
 
 
 def store_features(
@@ -90,10 +90,10 @@ def gather_features(
     *,
     seed: int,
 ) -> list[Features]:
-    """Gives the features of vehicles in sight, with and without camouflages, and of ground.
+    """Returns the features of vehicles in sight, with and without camouflages, and of ground.
 
     Ground boxes are as large as the vehicles', at random places a metre or more from each, as far
-    as there is room. A detector that gives no features is passed over.
+    as there is room. Detectors without features are skipped.
     """
     largest = max(max(size) for size in original.sizes_px)
     if largest > LARGEST_WHOLE_PX:
@@ -167,7 +167,7 @@ def _ground(dataset: Dataset, count: int, seed: int) -> Places:
 def _free_place(
     box: Tensor, taken: Sequence[Tensor], size_px: tuple[int, int], generator: torch.Generator
 ) -> Tensor | None:
-    """A box of the same size at a random free place of an image; None if none was met."""
+    """A box of the same size at a random free place of an image; None if none was found."""
     sides = box[2:] - box[:2]
     room = torch.tensor(size_px) - sides
     for _ in range(_TRIES):
@@ -184,10 +184,10 @@ def box_features(
     images: Float[Tensor, "B 3 H W"],
     boxes: Sequence[Float[Tensor, "_ 4"]],
 ) -> list[Float[Tensor, "_ C"]]:
-    """Gives one vector per box, the mean over the box, at the pyramid level of the box.
+    """Returns one vector per box, the mean over the box, at the pyramid level of the box.
 
     Images are sRGB in [0, 1], boxes pixel xyxy. In a YOLO the size of a vehicle alone does not
-    decide its level, and levels differ in channels, so the finest level counts.
+    decide its level, and levels differ in channels, so the finest level is used.
     """
     if isinstance(detector, ImportedDetector):
         height, width = detector.size_px(images)
@@ -232,7 +232,7 @@ def pool_boxes(
 
 
 def anchor_levels(anchors: Sequence[Float[Tensor, "_ 4"]]) -> Levels:
-    """Chooses the level with the anchor (pixel xyxy, centred) most like a box, as RetinaNet's."""
+    """Chooses RetinaNet's level, whose anchor (pixel xyxy, centred) is most like a box."""
 
     def level_of(boxes: Tensor) -> Tensor:
         halves = (boxes[:, 2:] - boxes[:, :2]) / 2

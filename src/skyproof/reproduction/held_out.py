@@ -41,11 +41,11 @@ _RATES = {
     **{f"easr_at_{point}": f"EASR at {alarms}/km²" for point, alarms in EQUAL_ALARMS.items()},
 }
 _LOWEST = -30.0
-"""Where the axis ends at the latest: intervals of rates below zero may go far."""
+"""Lowest left end of the axis, because intervals of rates may reach far below zero."""
 
 
 def held_out_part(run: Reproduction) -> Topic:
-    """Gives what held-out detectors find without camouflage, and what is hidden from them."""
+    """Returns what held-out detectors find without camouflage, and what is hidden from them."""
     if not run.held_out:
         return Topic()
     blocks: list[Block] = [
@@ -73,7 +73,7 @@ def detectors_and_mean(results: Results) -> list[str]:
 
 
 def held_out_rows(run: Reproduction, table: str) -> list[dict[str, Any]]:
-    """Gives per attack and detector of a table the rates under every renderer, in percent."""
+    """Returns the rates of each attack and detector of a table, by renderer, in percent."""
     results = run.held_out[table]
     scored = set(map(str, results.names))
     learnt = [name for name in run.names if name.startswith("T-") and "_" not in name]
@@ -189,7 +189,7 @@ def _doubts(baselines: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _grid(detectors: Sequence[str], hidden: Sequence[Mapping[str, Any]], prefix: str) -> TextTable:
-    # What no attack has, such as chosen controls on Cycles, gets no column.
+    # Rates that no attack has, such as net of chosen controls on Cycles, get no column.
     rates = {
         prefix + key: words
         for key, words in _RATES.items()
@@ -260,7 +260,7 @@ def _bars(
 
 
 def _left(rows: Sequence[Mapping[str, Any]], shown: Sequence[str]) -> float:
-    """Where the axis begins: at the lowest of what is drawn, unless that is far out."""
+    """Returns where the axis begins: at the lowest value drawn, unless that is far out."""
     keys = [prefix + key for prefix in shown for key in ("easr", "easr_low", "random_easr")]
     drawn = [row[key] for row in rows for key in keys if row.get(key) is not None]
     return max(_LOWEST, min([0.0, *drawn])) - 3

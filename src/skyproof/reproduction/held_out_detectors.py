@@ -28,7 +28,7 @@ class HeldOutDetector:
 
     @classmethod
     def open(cls, folder: Path) -> "HeldOutDetector":
-        """Reads a detector folder's card; StoredFileError for another folder."""
+        """Reads a detector folder's card; raises StoredFileError for any other folder."""
         return cls(folder, read_card(folder))
 
     @property
@@ -54,7 +54,7 @@ def read_held_out(texts: Sequence[str]) -> dict[str, list[HeldOutDetector]]:
     tables: dict[str, list[HeldOutDetector]] = {}
     for text in texts:
         table, equals, place = text.partition("=")
-        # A path may have the sign, too.
+        # A path may contain the equals sign, too.
         if not equals or "/" in table:
             table, place = _TABLE, text
         if not _NAME.fullmatch(table) or not place:
@@ -89,7 +89,7 @@ def read_held_out(texts: Sequence[str]) -> dict[str, list[HeldOutDetector]]:
 def stored_tables(layout: PaperLayout) -> dict[str, tuple[str, ...]]:
     """Lists by table the held-out detectors that lie in a run folder."""
     tables: dict[str, tuple[str, ...]] = {}
-    # What is hidden is being copied, or a kill left it.
+    # Hidden folders are being copied, or are left from a killed run.
     for card in sorted(layout.held_out.glob("[!.]*/detectors/*/detector.json")):
         detector = card.parent
         table = detector.parents[1].name
@@ -106,7 +106,7 @@ def new_tables(
         reference_folder(name) if name in preset.reference else layout.detector(name)
         for name in preset.detectors
     ]
-    # Those that are not trained yet cannot be given.
+    # Detectors that are not trained yet cannot be among the given ones.
     trained = [folder for folder in folders if given and (folder / "detector.json").exists()]
     attacked = [*map(HeldOutDetector.open, trained)]
     for table, detectors in given.items():

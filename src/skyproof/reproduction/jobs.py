@@ -27,7 +27,7 @@ class AttackJob:
     name: CamouflageName
     settings: AttackSettings
     detectors: tuple[str, ...]
-    texture: str | None = None  # finished, under the shape of a sequential attack
+    texture: str | None = None  # the finished texture under a sequential shape
     best_of: int = BEST_OF
     conditions: tuple[str, ...] = ("clear",)
 
@@ -162,7 +162,7 @@ class Jobs:
         return shown and not name.random
 
     def _on_cycles(self, names: Iterable[CamouflageName]) -> list[CamouflageName]:
-        """The repeats and draws of the Cycles column, which has more of the headlines."""
+        """Returns the repeats and draws of the Cycles column: more of `cycles_headlines`."""
         preset = self._preset
         wanted = {*map(CamouflageName.parse, preset.cycles_headlines)}
         wanted |= {each for name in wanted for each in (name.control, *name.chosen_controls)}
@@ -192,7 +192,7 @@ def _parts_of(detectors: Sequence[str]) -> Iterator[tuple[str, tuple[str, ...]]]
     if len(detectors) > 1:
         for detector in detectors:
             yield f"on_{detector}", (detector,)
-    # Of two detectors, all but one is the other one.
+    # With two detectors, all but one would only be the other one.
     if len(detectors) > 2:
         for left_out in detectors:
             rest = tuple(detector for detector in detectors if detector != left_out)

@@ -25,7 +25,7 @@ from skyproof.reproduction.stored import Strip, TextureLooks
 _REMEDY = "copy the whole folder again, or score again"
 _ACROSS = 12
 _STRIP_INCHES = 1.25
-# Of a portrait: its second row shows the camouflage from above.
+# Rows of a portrait, of which the second shows the camouflage from above.
 _PORTRAIT_ROWS = 4
 _CHANNELS = ("red", "green", "blue")
 _PLACES = ("faces", "edges", "corners")
@@ -39,7 +39,7 @@ Textures = Mapping[CamouflageName, Sequence[TextureLooks]]
 
 
 def colours_part(run: Reproduction) -> Topic:
-    """Gives the shares by place in the RGB cube and the histograms, where they were measured."""
+    """Returns the shares by place in the RGB cube and the histograms, where they were measured."""
     if run.looks is None:
         return Topic.of("Colours", {}, "The textures’ colours were not measured in this run.")
     textures = defaultdict(list)
@@ -77,7 +77,7 @@ def colours_part(run: Reproduction) -> Topic:
 
 
 def _histograms(textures: Textures) -> dict[CamouflageName, Float[np.ndarray, "3 B"]]:
-    """Gives mean histograms over repeats of learnt textures, then over draws of their controls."""
+    """Returns mean histograms over repeats of optimised textures, then over draws of controls."""
     learnt = _learnt(textures)
     controls = [name for name in dict.fromkeys(name.control for name in learnt) if name in textures]
     return {
@@ -100,7 +100,7 @@ def _row(name: CamouflageName, textures: Textures) -> dict[str, Any]:
 
 
 def _learnt(textures: Textures) -> list[CamouflageName]:
-    """Lists what was learnt, variants below what they are variants of."""
+    """Lists optimised textures, each variant below its base."""
     names = [name for name in textures if not name.random]
     bases = list(dict.fromkeys(name.base for name in names))
     return sorted(names, key=lambda name: (bases.index(name.base), name.variant != ""))
@@ -114,7 +114,7 @@ def _mean(row: Mapping[str, Any], place: str) -> str:
 
 
 def _weather(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Sets textures that were learnt in weather beside the same learnt under a clear sky."""
+    """Compares textures optimised in weather with the same ones optimised under a clear sky."""
     faces = {row["attack"]: row["faces"] for row in rows}
     said = [
         f"Learnt in weather, {name} has {number(faces[f'{name}_weather'])} % at the faces, "
@@ -148,7 +148,7 @@ def _colours(histograms: Mapping[CamouflageName, Float[np.ndarray, "3 B"]]) -> d
         rule(axes, "y")
     for axes in grid.flat[len(learnt) :]:
         axes.set_visible(False)
-    # The lowest that is drawn in its column has the values below it.
+    # The lowest panel of each column has the values below it.
     for axes in grid.flat[max(len(learnt) - columns, 0) : len(learnt)]:
         axes.tick_params(labelbottom=True)
     figure.supylabel("% of the painted surface", fontsize=10)
@@ -164,7 +164,7 @@ def _colours(histograms: Mapping[CamouflageName, Float[np.ndarray, "3 B"]]) -> d
 
 @figure_style("looks", font=9)
 def looks_part(run: Reproduction) -> Topic:
-    """Draws what was tested; figures of what the run lacks are empty."""
+    """Draws what was tested; figures whose data the run lacks are empty."""
     looks = run.looks
     figures = [
         Figure(
@@ -204,7 +204,7 @@ def looks_part(run: Reproduction) -> Topic:
 
 
 def _classes(run: Reproduction) -> dict[str, bytes]:
-    """Bars of how often each kind of vehicle was seen in the test, and of how many vehicles."""
+    """Draws how often each kind of vehicle was seen in the test, and its number of vehicles."""
     tiles = run.results.counts
     if not tiles.series:
         return {}

@@ -145,9 +145,9 @@ def _strip(images: Sequence[Float[Tensor, "3 H W"]]) -> UInt8[Tensor, "3 H sheet
 def measure_looks(
     folders: Sequence[Path], vehicles: VehicleBatch, progress: Callable[[int, int], None]
 ) -> Looks:
-    """Measures textures where they are worn; repeats are compared, and as many random draws."""
+    """Measures textures where vehicles show them; compares repeats, and as many random draws."""
     compared = _compared([folder.name for folder in folders])
-    # Where textures are worn depends on their mask alone.
+    # Which texels show a texture depends on its mask alone.
     areas: dict[bool, Float[Tensor, "512 512"]] = {}
     worn: dict[str, tuple[Worn, Worn]] = {}
     textures = []
@@ -173,7 +173,7 @@ def measure_looks(
 
 
 def _compared(names: Sequence[str]) -> dict[str, CamouflageName]:
-    """By name the attack or control of a repeat: optimised ones, and as many draws of each."""
+    """Returns the attack or control of each compared repeat: optimised ones, and as many draws."""
     pooled = {name: CamouflageName.read(name).pooled for name in names}
     optimised = Counter(of for of in pooled.values() if not of.random)
     most: Counter[CamouflageName] = Counter()
@@ -201,7 +201,7 @@ class Worn:
 
 
 def likeness(first: Worn, second: Worn) -> tuple[float | None, float]:
-    """Gives correlation and distance of two textures, each texel by the area that both cover."""
+    """Returns correlation and distance of two textures, weighted by the area that both cover."""
     area = torch.minimum(first.area, second.area).double().flatten()
     shares = area / area.sum()
     one, other = (worn.colours.double().flatten(1) for worn in (first, second))
@@ -245,7 +245,7 @@ def count_colours(
 def worn_area(
     vehicles: VehicleBatch, mask: Bool[Tensor, "N 512 512"] | None
 ) -> Float[Tensor, "512 512"]:
-    """Gives the square metres of each texel that wear a texture, mean over the vehicles."""
+    """Returns the area of each texel that shows a texture, in m², mean over the vehicles."""
     worn = worn_texels(vehicles, mask)
     total = torch.zeros(TEXTURE_SIZE, TEXTURE_SIZE)
     # One by one: the maps of a whole fleet take gigabytes.

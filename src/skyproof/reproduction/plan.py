@@ -21,10 +21,10 @@ _MOST_STEPS = 20_000
 
 
 class Plan:
-    """The steps of a run in their order; each also needs what earlier steps leave where it reads.
+    """The steps of a run in order; each also depends on earlier steps that write where it reads.
 
-    Threads are of each step if steps run side by side, resources (gpu, mem_mb, runtime in minutes)
-    of each that computes much on a cluster.
+    `threads` are those of each step if steps run side by side, `resources` (gpu, mem_mb, runtime in
+    minutes) those of each step that computes much on a cluster.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class Plan:
 
     @property
     def waiting(self) -> dict[str, int]:
-        """How many steps wait for each, directly or not, by id; the most awaited comes first."""
+        """Returns by id how many steps wait for each, directly or not; Snakemake's priority."""
         made_by = {output: step.id for step in self.steps for output in step.outputs}
         # One bit for each step that waits.
         waiting = dict.fromkeys((step.id for step in self.steps), 0)

@@ -36,7 +36,7 @@ PRESETS = {
     for name in ("quick", "overnight", "paper", "reference")
 }
 """The paper's tables in small, with more repeats and in full, and training of the shipped
-detectors. The first two draw worlds at which nobody looked during development."""
+detectors. The first two draw worlds that were not looked at during development."""
 
 GSD_M = 0.125
 
@@ -52,8 +52,8 @@ EMPTY_IN_VALIDATION = 0.5
 the 1.2 and 3.2 of labelled photographs of two towns (Minsk, first flight; Munich, first place)."""
 
 MOST_SCENES = 200
-"""Scenes, the first, at whose vehicles features are stored: some 600 vehicles, as many as a picture
-of points can show. Scenes are drawn independently, so the first are a fair sample."""
+"""Number of first scenes at whose vehicles features are stored: some 600 vehicles, as many as a
+scatter plot can show. Scenes are drawn independently, so the first are a fair sample."""
 
 Known = Literal["retinanet", "faster_rcnn", "yolov5"]
 _Magnitude = Annotated[float, Meta(gt=0, le=1)]
@@ -208,7 +208,7 @@ class Preset:
             raise ConfigurationError(mistake)
 
     def _mistakes(self) -> Iterator[str]:
-        """What the ranges of single settings do not show: names, and settings beside others."""
+        """Yields mistakes that ranges of single settings do not show: names, and combinations."""
         for texture in (*self.textures, *self.combined_magnitudes, *self.texture_repeats):
             TextureConstraints.parse(texture)
         for setting in ("transfer", "features", "weather"):
@@ -253,12 +253,12 @@ class Preset:
 
     @classmethod
     def parse(cls, values: Mapping[str, Any], place: str = "The preset") -> "Preset":
-        """Takes plain values, as JSON has them; ConfigurationError for a setting that cannot be."""
+        """Reads plain values as JSON has them; ConfigurationError for settings that cannot be."""
         return check_document(values, cls, place, _REMEDY, error=ConfigurationError)
 
 
 def read_preset(preset: str) -> tuple[str, Path, dict[str, Any], Preset]:
-    """Reads a preset by name or path of a JSON file; gives its name, file, values and settings."""
+    """Reads a preset by name or path of a JSON file; returns name, file, values and settings."""
     path = PRESETS.get(preset, Path(preset))
     if not path.is_file():
         raise ConfigurationError(

@@ -42,7 +42,7 @@ def write_reproduction_report(out: Path) -> None:
         files: dict[str, bytes] = {}
         if run.comparable:
             topics = _topics(run)
-            # Where a run lacks what a figure shows there is none.
+            # A figure is left out if the run lacks what it shows.
             blocks = [
                 block
                 for topic in topics
@@ -97,10 +97,10 @@ def _files(run: Reproduction, tables: Sequence[Table], blocks: Sequence[Block]) 
 
 
 def _preamble(run: Reproduction) -> list[Block]:
-    """Says what stands above the tables where they are a page of their own."""
+    """Returns the text above the tables on their own page."""
     title = run.results.config.title or "The paper’s tables"
-    gate = " ".join(precheck_part(run.results).sentences)
-    parts: list[Block] = [Heading(title, 1), f"**Worth attacking?** {gate}"]
+    precheck = " ".join(precheck_part(run.results).sentences)
+    parts: list[Block] = [Heading(title, 1), f"**Worth attacking?** {precheck}"]
     scores = {detector: number(run.original_ap(detector)) for detector in run.detectors}
     known = [f"{detector_name(name)} {ap} %" for name, ap in scores.items() if ap != number(None)]
     checked = f" (AP with centres within 1 m: {', '.join(known)})" if known else ""

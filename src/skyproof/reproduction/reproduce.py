@@ -1,4 +1,4 @@
-"""The work of `skyproof reproduce`: checks the request, and runs the steps or tells them."""
+"""The work of `skyproof reproduce`: checks the request, and runs or lists the steps."""
 
 import os
 import shlex
@@ -30,11 +30,11 @@ from skyproof.reproduction.snakemake import run_side_by_side, snakemake_words
 
 
 def reproduce(asked: Reproduce) -> None:
-    """Does every step that is not finished, or says what they are in a dry run."""
+    """Runs every step that is not finished, or lists the steps in a dry run."""
     name, path, values, preset = read_preset(asked.preset)
     cores = _cores(asked)
     choose_device(asked.device)
-    # Shows a detector whose library is missing before the ground is drawn.
+    # Fails for a detector whose library is missing, before the ground is drawn.
     for detector in preset.detectors:
         build_detector(detector, preset.size, generator=torch.Generator())
     blender = _blender(asked)
@@ -104,7 +104,7 @@ def _copies(
     layout: PaperLayout,
     added: Mapping[str, Sequence[HeldOutDetector]],
 ) -> list[list[str]]:
-    """The commands that put the preset and detectors where the run has them."""
+    """Returns the commands that copy the preset and detectors into the run folder."""
     copies = [
         (each.folder, layout.table(table).detector(each.card.name))
         for table, detectors in added.items()

@@ -50,12 +50,12 @@ class Reproduction:
 
     @cached_property
     def curves(self) -> dict[str, PracticalityCurve]:
-        """Per attack with a shape ("S-O", "C-Fc-seq") its EASR against practicality."""
+        """Returns EASR against practicality of each attack with a shape ("S-O", "C-Fc-seq")."""
         return practicality_curves(self.results.counts)
 
     @cached_property
     def best(self) -> dict[str, str]:
-        """Per attack with a shape, the name of what stands at its PM*."""
+        """Returns the camouflage at the PM* of each attack with a shape, by attack."""
         return {
             family: point_name(family, curve.best.perturbation_magnitude)
             for family, curve in self.curves.items()
@@ -68,7 +68,7 @@ class Reproduction:
 
     @cached_property
     def features(self) -> list[Features]:
-        """What is stored of the detectors' features; empty where nothing is."""
+        """Returns the stored features of the detectors; empty if there are none."""
         path = self.layout.features
         return read_features(path) if path.exists() else []
 

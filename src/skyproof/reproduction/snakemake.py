@@ -1,4 +1,4 @@
-"""A plan done by Snakemake on several cores of this machine, and how far it is."""
+"""Runs a plan with Snakemake on several cores of this machine, and prints its progress."""
 
 import csv
 import io
@@ -31,13 +31,13 @@ _FAILED = re.compile(
     re.MULTILINE,
 )
 
-# Of a benchmark file, in characters, and of a number in it; more is none of Snakemake's.
+# Largest benchmark file, in characters, and number in it; Snakemake writes none above.
 _LONGEST = 10_000
 _LARGEST = 1e9
 
 
 def shell_line(step: Step, config: Mapping[str, Any]) -> Callable[[object], str]:
-    """A step's shell words, quoted; as a function, as Snakemake takes braces for wildcards."""
+    """Returns a step's quoted shell line, as a function: Snakemake takes braces for wildcards."""
     words = [sys.executable, "-m", "skyproof.reproduction", "step", step.id]
     line = shlex.join([*words, *(f"--{name}={value}" for name, value in config.items())])
     return lambda wildcards: line
@@ -115,7 +115,7 @@ def run_side_by_side(plan: Plan, run: Run, command: Sequence[str], cores: int, h
 def _note_finished(
     run: Run, plan: Plan, cores: int, before: Mapping[str, Timing]
 ) -> dict[str, Timing]:
-    """Prints new steps; one that was done again counts as new, as it took another time."""
+    """Prints newly finished steps; a step that was done again is new, because its time differs."""
     finished = finished_jobs(run.folder)
     if finished == before:
         return finished
@@ -189,7 +189,7 @@ def _last_words(path: Path) -> str:
 
 @contextmanager
 def _stop_signals() -> Iterator[None]:
-    """Within, being terminated or losing the terminal ends the run as Ctrl-C does."""
+    """Within, SIGTERM and the loss of the terminal end the run as Ctrl-C does."""
 
     def stop(number: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt

@@ -42,7 +42,7 @@ _TORCH = Rendering()
 
 
 def command_step(kind: str, name: str, command: Any, *outputs: Path, **more: Any) -> Step:
-    """Returns a step that one command does; its output is the command's `out` if not said."""
+    """Returns a step that one command does; its output is the command's `out` if none is given."""
     check_ranges(command)
     return Step(kind, name, outputs or (command.out,), command.run, command, **more)
 
@@ -61,7 +61,7 @@ def _function_step(
 
 
 def _later(module: str, function: str, **arguments: Any) -> None:
-    """Calls a function of this room, whose module is imported only now."""
+    """Calls a function of this package, whose module is imported only now."""
     getattr(import_module(f"skyproof.reproduction.{module}"), function)(**arguments)
 
 
@@ -227,7 +227,7 @@ class Steps:
     ) -> Step:
         """Scores camouflages, given by their folders relative to `camouflages/`.
 
-        `out` is the run folder whose `scores/` gets them; `empty` counts alarms on bare ground.
+        `out` is the run folder whose `scores/` gets them; `empty` counts alarms on empty ground.
         """
         run = self._run
         grounds = (run.dataset("empty"),) if empty else ()

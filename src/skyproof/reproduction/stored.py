@@ -20,7 +20,7 @@ from skyproof.results.outcomes import REMEDY, read_table
 from skyproof.results.stored import Label
 
 GROUND = "ground"
-"""Stands where a camouflage's name would: no vehicle is in the box."""
+"""Stands in place of a camouflage's name for boxes without a vehicle."""
 
 _NAMES = ("detector", "shown", "scene", "background")
 _SCHEMA = pa.schema(
@@ -41,8 +41,8 @@ _Bins = Annotated[list[Fraction], Meta(min_length=1, max_length=256)]
 class Features:
     """The features of one detector at vehicles with one camouflage, without one, or of the ground.
 
-    Shown is the camouflage's name, "original" or `GROUND`. Every row has a vector, and a vehicle by
-    its index in `Scene.placements`; of ground, that of the vehicle as large as the box.
+    `shown` is a camouflage's name, "original" or `GROUND`. Every row has a vector, and a vehicle by
+    its index in `Scene.placements`; for ground it is the vehicle whose size the box has.
     """
 
     detector: str
@@ -110,8 +110,8 @@ class PairLooks(Struct, frozen=True):
 
     The correlation of the values is a mean over the channels; None if one channel of either is
     constant. Unrelated textures have 0. The distance of the colours is a mean in CIELAB (CIE 1976),
-    of which 2.3 can just be noticed (Mahy and others 1994). Seen is what the renderer reads of
-    textures.
+    of which 2.3 can just be noticed (Mahy and others 1994). `seen_`
+    values are of textures as the renderer reads them.
     """
 
     first: Name

@@ -36,7 +36,7 @@ _TESTS = ("control_p_holm", "strongest_control_p_holm", "no_camouflage_p_holm")
 
 
 def main_part(run: Reproduction) -> Topic:
-    """Gives both tables of the paper and the curves, and explains what stands in them."""
+    """Returns both tables of the paper and the curves, and explains what stands in them."""
     textures = _texture_rows(run)
     shapes = _shape_rows(run)
     detectors = ", ".join(map(detector_name, run.detectors))
@@ -74,13 +74,13 @@ def main_part(run: Reproduction) -> Topic:
 
 
 def texture_table(rows: Sequence[Mapping[str, Any]]) -> TextTable:
-    """Gives the paper's first table."""
+    """Returns the paper's first table."""
     signs: Column = ("practicality", lambda row: sign(row["practicality"]))
     return TextTable.of(rows, [("attack", _attack), signs, *_columns(rows)])
 
 
 def shape_table(rows: Sequence[Mapping[str, Any]]) -> TextTable:
-    """Gives the paper's second table."""
+    """Returns the paper's second table."""
     return TextTable.of(
         rows,
         [
@@ -97,7 +97,7 @@ def shape_table(rows: Sequence[Mapping[str, Any]]) -> TextTable:
 
 
 def _learnt_shapes(shapes: Sequence[Mapping[str, Any]]) -> list[Block]:
-    """Sets combinations beside their own texture under random shapes; nothing without those."""
+    """Compares combinations with their own texture under random shapes; empty without those."""
     rows = [row for row in shapes if row["drawn_shape_easr"] is not None]
     if not rows:
         return []
@@ -222,7 +222,7 @@ def _shape_rows(run: Reproduction) -> list[dict[str, Any]]:
 
 
 def _measured(run: Reproduction, name: str) -> dict[str, Any]:
-    """What both tables hold of a camouflage."""
+    """Returns the columns that both tables have for a camouflage."""
     row = run.row(name)
     return {
         **in_percent(row),
@@ -260,7 +260,7 @@ def _corrected_p(run: Reproduction, name: str) -> dict[str, float | None]:
 def _outside(run: Reproduction, name: str) -> dict[str, Any]:
     """EASR by held-out detectors, at 100 false alarms per km² where they reach them.
 
-    An attack works only at home if no such detector surely loses more to it than to its controls.
+    An attack works only at home if it surely beats its controls on none of these detectors.
     """
     rows = []
     for results in run.held_out.values():
@@ -304,7 +304,7 @@ def _curve_rows(run: Reproduction) -> list[dict[str, Any]]:
 
 
 def practicality_part(run: Reproduction) -> Topic:
-    """Gives the paper's signs, and what was measured beside them."""
+    """Returns the paper's signs, and what was measured beside them."""
     measured = _practicality_rows(run)
     tables = {"practicality": measured}
     if not measured:

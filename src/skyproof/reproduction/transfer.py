@@ -12,7 +12,7 @@ from skyproof.results.results import RENDERER
 from skyproof.words import detector_name
 
 _OF_SOME = ("on_", "without_")
-"""Variants that were optimised against some of the detectors begin so."""
+"""Prefixes of variants that were optimised against some of the detectors."""
 
 
 def transfer_part(run: Reproduction) -> Topic:
@@ -46,7 +46,7 @@ def transfer_part(run: Reproduction) -> Topic:
 def transfer_rows(
     rows: Sequence[Result], attacked: Mapping[CamouflageName, Sequence[str]], base: CamouflageName
 ) -> list[dict[str, Any]]:
-    """Gives EASR in percent by detectors attacked and detector, for one kind and its variants.
+    """Returns EASR in percent by attacked and scoring detectors, for one attack and its variants.
 
     Single detectors come first ("T-U_on_..."), then larger sets ("T-U_without_...", "T-U").
     """
@@ -62,7 +62,7 @@ def transfer_rows(
         for row in rows
         if (row.renderer, row.match) == (RENDERER, MAIN_MATCH)
         and row.camouflage.base == base
-        # Copies kept on the way are variants, too, but not of what was attacked.
+        # Intermediate copies are variants, too, but not by the detectors attacked.
         and (not row.camouflage.variant or row.camouflage.variant.startswith(_OF_SOME))
         and row.detector != MEAN
     }

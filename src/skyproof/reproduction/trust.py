@@ -26,7 +26,7 @@ _LENIENT = f"easr_{LENIENT_MATCH}"
 
 
 def trust_part(run: Reproduction, rows: Sequence[Mapping[str, Any]]) -> Topic:
-    """Says what is left of chance in the rows of the paper's tables, and how attacks converge."""
+    """Says whether chance explains the rows of the paper's tables, and how attacks converge."""
     signs = _sign_rows(run)
     convergence = _convergence_rows(run)
     return Topic.of(
@@ -177,7 +177,7 @@ def _weak(attacks: Sequence[str]) -> list[Block]:
 
 
 def criteria_part(run: Reproduction) -> Topic:
-    """Gives every whole attack's EASR by each rule, and the false alarms, mean of detectors."""
+    """Returns the mean EASR of attacks (no variants) by each rule, and their false alarms."""
     rows: list[dict[str, Any]] = []
     for camouflage in run.results.names:
         centre = run.results.row(camouflage)

@@ -39,7 +39,7 @@ _MISSING = "How alike repeats of an attack are was not measured in this run."
 
 
 def variability_part(run: Reproduction) -> Topic:
-    """Says of textures with several starts how alike they are, where it was measured."""
+    """Says how alike textures from several starts are, if that was measured."""
     pairs = _pairs(run)
     learnt = [name for name in pairs if not name.random]
     if not learnt:
@@ -103,7 +103,7 @@ def _pooled(camouflage: str) -> CamouflageName:
 
 
 def _pairs(run: Reproduction) -> dict[CamouflageName, list[PairLooks]]:
-    """Gathers by texture, learnt or drawn, every two of its repeats."""
+    """Gathers the pairs of repeats by texture, optimised or random."""
     found = defaultdict(list)
     for pair in run.looks.pairs if run.looks else ():
         found[_pooled(pair.first)].append(pair)
@@ -131,7 +131,7 @@ def _mean(row: Mapping[str, Any], key: str, digits: int) -> str:
 def _agreement(run: Reproduction, names: Collection[str]) -> Interval | None:
     """Correlates which vehicles two starts hide, mean over pairs and detectors, tiles resampled.
 
-    Vehicles on one tile that are one of the fleet count together, by the share of them hidden.
+    Placements of one fleet vehicle on one tile count together, by the share of them hidden.
     """
     by_detector = defaultdict(list)
     for key, counts in run.results.counts.series.items():
@@ -148,7 +148,7 @@ def _agreement(run: Reproduction, names: Collection[str]) -> Interval | None:
     whole = _correlations(stacked.sum(axis=1))
     if np.isnan(whole).all():
         return UNDEFINED
-    # The mean of those pairs that have a correlation, in every replicate the same ones.
+    # Averages the pairs whose correlation is defined, the same ones in every replicate.
     known = ~np.isnan(whole)
     halves = np.split(stacked[known], 2, axis=-1)
     sums_drawn = np.concatenate([run.results.sample.replicates(half) for half in halves], axis=-1)
@@ -159,7 +159,7 @@ def _agreement(run: Reproduction, names: Collection[str]) -> Interval | None:
 def _sums(
     first: Int[np.ndarray, "N 4"], second: Int[np.ndarray, "N 4"]
 ) -> Float[np.ndarray, "N 6"]:
-    """Gives per cell what a correlation of two shares hidden needs, by the vehicles found."""
+    """Returns per cell the sums for correlating two hidden shares, weighted by vehicles found."""
     found = (first[:, 1] + first[:, 2]).astype(float)
     one, other = (counts[:, 2] / np.maximum(found, 1) for counts in (first, second))
     columns = (np.ones_like(found), one, other, one**2, other**2, one * other)
@@ -167,7 +167,7 @@ def _sums(
 
 
 def _correlations(sums: Float[np.ndarray, "*S 6"]) -> Float[np.ndarray, "*S"]:
-    """Gives Pearson's correlations; nan where one side does not vary."""
+    """Returns Pearson's correlations; nan where one side does not vary."""
     count, one, other, ones, others, products = np.moveaxis(sums, -1, 0)
     with np.errstate(invalid="ignore", divide="ignore"):
         together = products / count - one * other / count**2

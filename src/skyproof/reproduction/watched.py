@@ -1,7 +1,7 @@
-"""Runs a program that ends when the one who asked for it dies, however that dies.
+"""Runs a program that ends when the process that asked for it dies, however it dies.
 
 `python -m skyproof.reproduction.watched READ LOCK WORD ...`: READ is the read end of a pipe whose
-other end only the asker holds; the system closes it at the asker's death, a kill included. LOCK is
+other end only that process holds; the system closes it when the process dies or is killed. LOCK is
 a descriptor that the program is to inherit. This process leads a session of its own, so that a
 signal reaches the program and all that it has started.
 """

@@ -34,7 +34,7 @@ _SERIES = (
 
 
 def weather_part(run: Reproduction) -> Topic:
-    """Gives success by weather, detector by detector and on average."""
+    """Returns success by weather, detector by detector and on average."""
     place = run.layout.weather
     if not place.scores.exists():
         return Topic()
@@ -85,7 +85,7 @@ def weather_part(run: Reproduction) -> Topic:
 def _rows(
     base: CamouflageName, clear: Results, weather: Results, detectors: Sequence[str]
 ) -> list[dict[str, Any]]:
-    """Gives one row per weather and detector; clear days are those of the usual test scenes."""
+    """Returns one row per weather and detector; clear days are those of the usual test scenes."""
     names = (base, base.with_variant(IN_WEATHER), base.control)
     on_clear_days = [clear.outcomes(name, RENDERER) for name in names]
     in_weather = [weather.outcomes(name, RENDERER) for name in names]
@@ -108,7 +108,7 @@ def _rows(
 
 
 def _cells(parts: Sequence[Sequence[Outcome]]) -> dict[str, Any]:
-    """Gives the rates of what was learnt on clear days, in all weathers, and not at all."""
+    """Returns the rates of textures optimised on clear days, in all weathers, and not at all."""
     generator = np.random.default_rng(_SEED)
     on_clear_days, in_all, drawn = shared_groups(parts, generator=generator)
     vehicles = {(outcome.scene, outcome.placement) for outcome in parts[0]}

@@ -1,4 +1,4 @@
-"""Vehicles lie here: one template mesh with one UV map, bodies and paint drawn at random, fleets.
+"""Vehicles: the template mesh with its UV map, bodies and paints drawn at random, and fleets.
 
-Real meshes are laid onto the same template.
+Real meshes are wrapped onto the same template (`wrapping`).
 """

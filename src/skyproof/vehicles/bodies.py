@@ -21,7 +21,7 @@ from skyproof.vehicles.template import (
     column_u,
 )
 
-# Long cars have long wheelbases and wide bodies: the share of a dimension that follows the size.
+# Long cars have long wheelbases and wide bodies, so this share of a dimension follows size.
 _SIZE_SHARE = 0.6
 _WITH_SIZE = ("length", "width", "wheelbase", "bonnet_length", "deck_length")
 _HALF = COLUMNS // 2
@@ -29,8 +29,8 @@ CAP_RINGS = 2  # rings inside each bumper's face
 CAP_SCALES = (0.45, 0.86)
 _CAP_DEPTH_M = 0.06
 _SMOOTHING_M = 0.13
-# Half the length of the tyre's contact, and its share of the space between two rings, so that at
-# least one ring reaches the ground.
+# Half the length of a tyre's contact patch, and its least share of the space between two rings, so
+# that at least one ring reaches the ground.
 _FLAT_TYRE_M, _FLAT_TYRE_SHARE = 0.125, 0.4
 
 
@@ -53,12 +53,12 @@ class BodyDimensions:
     bonnet_length: float  # nose to foot of the windscreen
     windscreen_run: float  # horizontal length of the windscreen: height and run give the rake
     rear_run: float  # horizontal length of the rear window or the rear wall of the cab
-    deck_length: float  # boot lid, pickup bed, or what a hatch stands out under its window
+    deck_length: float  # boot lid, pickup bed, or how far a hatch protrudes below its window
     deck_height: float
     belt_height: float  # lower edge of the side windows
     tumblehome: float  # how far the roof rail stands inside the shoulder on each side
     bed_depth: float
-    nose_bow: float  # how far the bumper corners stand behind its middle
+    nose_bow: float  # how far a bumper's corners lie behind its middle
     tail_bow: float
     roof_arch: float  # fall of the roof towards its rear end
 
@@ -98,11 +98,11 @@ def sample_dimensions(body_type: str, *, generator: torch.Generator) -> BodyDime
 
 @dataclass(frozen=True)
 class Body:
-    """One vehicle's surface, and the places that its painter needs; metres, vehicle axes.
+    """One vehicle's surface, and what painting it needs, in metres and vehicle axes.
 
-    `half` holds nose pole, rings and tail pole by columns from the middle of the underside up the
-    left side to the middle of the roof, `station` how far behind the nose each ring's middle lies.
-    Then come the heights of shoulder and roof rail, and half the width at the roof rail.
+    `half` holds nose pole, rings and tail pole; columns run from the middle of the underside up the
+    left side to the middle of the roof. `station` is how far each ring's middle lies behind the
+    nose. `belt_z` and `rail_z` are heights of shoulder and roof rail, `rail_y` half its width.
     """
 
     dimensions: BodyDimensions
@@ -114,7 +114,7 @@ class Body:
 
     @property
     def vertices(self) -> Float[Tensor, "994 3"]:
-        """In template order; the right half is the left half reflected, bit for bit."""
+        """Returns vertices in template order; the right half mirrors the left half, bit for bit."""
         right = self.half[1:-1, 1:-1].flip(1) * self.half.new_tensor([1.0, -1.0, 1.0])
         rings = torch.cat([self.half[1:-1], right], dim=1).reshape(-1, 3)
         return torch.cat([rings, self.half[0, :1], self.half[-1, :1]]).float()
@@ -130,7 +130,7 @@ def interpolate(
 
 
 def build_body(dimensions: BodyDimensions) -> Body:
-    """Builds the surface, exactly as long, wide and high as asked; the tyres stand on z = 0."""
+    """Builds a surface of exactly the given length, width and height; its tyres stand on z = 0."""
     profile = _profiles(dimensions)
     station = _ring_stations(dimensions, profile)
     sections, belt_z, rail_z, rail_y = _sections(dimensions, profile, station)
@@ -153,7 +153,7 @@ def build_body(dimensions: BodyDimensions) -> Body:
 
 
 def _fade(distance: Float[Tensor, "*S"], reach: float) -> Float[Tensor, "*S"]:
-    """Falls from 1 to 0, where it ends level."""
+    """Falls from 1 at distance 0 to 0 at `reach`, where the curve becomes level."""
     return (1 - distance / reach).clamp(0.0) ** 2
 
 
@@ -201,7 +201,7 @@ def _profiles(d: BodyDimensions) -> dict[str, Float[Tensor, " N"]]:
             (deck, d.deck_height - 0.03),
             (tail, d.deck_height - 0.04),
         ]
-    # Both smoothed, the shoulder below the roof line.
+    # Both are smoothed, and the shoulder is kept below the roof line.
     curves = {"at": at}
     for name, points in (("top", top), ("belt", belt)):
         x, y = torch.tensor(points, dtype=torch.float64).T.contiguous()
@@ -218,7 +218,7 @@ def _profiles(d: BodyDimensions) -> dict[str, Float[Tensor, " N"]]:
 def _ring_stations(
     d: BodyDimensions, profile: dict[str, Float[Tensor, " N"]]
 ) -> Float[Tensor, " 27"]:
-    """Stations of the rings between the caps: even along the centre line, one at each body edge."""
+    """Spaces the rings between the caps evenly along the centre line, one at each body edge."""
     at = profile["at"]
     height = profile["top"] - profile["depth"]
     arc = torch.cat([at.new_zeros(1), torch.hypot(at.diff(), 0.9 * height.diff()).cumsum(0)])

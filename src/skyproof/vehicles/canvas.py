@@ -39,7 +39,7 @@ class TextureCanvas:
 
     @property
     def floor(self) -> Tensor:
-        """Returns the underside's texels; on the two end faces its columns run up to the poles."""
+        """Returns the underside's texels, except where its columns run up the end faces."""
         ring = torch.arange(TEXTURE_SIZE)[:, None] / TEXTURE_SIZE * (RINGS + 1)
         end_face = (ring < 3) | (ring > RINGS - 2)
         high = self.z > self.body.dimensions.clearance + 0.12

@@ -1,4 +1,4 @@
-"""Keeps many vehicles on one template, drawn or wrapped, and hands them out in batches."""
+"""A fleet holds many vehicles on one template, drawn or wrapped, and returns them in batches."""
 
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -28,11 +28,11 @@ _FORMAT_VERSION = 1
 _USUAL: Coat = "catalogue"
 _REMEDY = "copy the whole folder again, or make the fleet again"
 _LARGEST_M = 100.0
-# Our choice, no statistic: mostly passenger cars, one pickup or van in seven.
+# Our choice, not a statistic: mostly passenger cars, one pickup or van in seven.
 _CAR_WEIGHTS = {"saloon": 0.18, "hatchback": 0.28, "estate": 0.14, "suv": 0.26}
 _WEIGHTS = {**_CAR_WEIGHTS, "pickup": 0.04, "van": 0.10}
 TRAINING_WEIGHTS = {**_WEIGHTS, "bus": 0.02, "lorry": 0.02}
-"""Body types to train with: a detector that met no bus found one of 27 on photographs."""
+"""Body types to train with: a detector trained without buses found one of 27 in photographs."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class FleetSettings:
 
 @dataclass(frozen=True)
 class _StoredFleet:
-    """What `fleet.json` holds."""
+    """The content of `fleet.json`."""
 
     format: int
     ids: Annotated[tuple[Name, ...], Meta(min_length=1, max_length=100_000)]
@@ -123,7 +123,7 @@ class Fleet:
 
     @cached_property
     def sizes_m(self) -> dict[str, tuple[float, float, float]]:
-        """By id the length, width (without mirrors) and height in metres."""
+        """Returns length, width (without mirrors) and height in metres by id."""
         extents = (self.vertices.amax(1) - self.vertices.amin(1)).tolist()
         sizes_m = [(length, width, height) for length, width, height in extents]
         return dict(zip(self.ids, sizes_m, strict=True))
@@ -134,7 +134,7 @@ class Fleet:
             self.write_into(partial)
 
     def write_into(self, folder: Path) -> None:
-        """Writes the same two files into a folder that is being made."""
+        """Writes the two files of `save` into a folder that is being made."""
         tensors = {"vertices": self.vertices, "textures": self.textures, "parts": self.parts}
         write_tensors(folder / "fleet.safetensors", tensors)
         description = {
@@ -176,7 +176,7 @@ class Fleet:
 
 
 def _check_tensors(path: Path, tensors: dict[str, Tensor], count: int, vertices: int) -> None:
-    """Refuses tensors that are not those of so many vehicles."""
+    """Refuses tensors that cannot be those of `count` vehicles."""
     map_px = (TEXTURE_SIZE, TEXTURE_SIZE)
     wanted = {
         "vertices": ((count, vertices, 3), torch.float32),
@@ -209,7 +209,7 @@ def sample_fleet(
 ) -> Fleet:
     """Draws a fleet: body types by weight, then dimensions, paint and trim of each vehicle.
 
-    Paints `worn` at a place, sRGB in [0, 1], take the place of catalogue paints, in the same
+    The paints of vehicles at a place (`worn`, sRGB in [0, 1]) replace catalogue paints, in the same
     shares. The same state of the CPU generator gives the same fleet, byte for byte.
     """
     coats = _coats(settings, generator)
@@ -253,7 +253,7 @@ def _coats(settings: FleetSettings, generator: torch.Generator) -> list[Coat]:
     coats: list[Coat] = [_USUAL] * settings.count
     if not shares:
         return coats
-    # Nothing is drawn without variety, so that fleets of catalogue paints stay what they were.
+    # Without variety nothing is drawn, so that fleets with catalogue paints do not change.
     order = torch.randperm(settings.count, generator=generator).tolist()
     first = 0.0
     for coat, share in shares.items():
@@ -265,7 +265,7 @@ def _coats(settings: FleetSettings, generator: torch.Generator) -> list[Coat]:
 
 
 def exact_share(share: float, count: int, generator: torch.Generator) -> list[int]:
-    """Draws an exact share of so many; nothing is drawn where there is none."""
+    """Draws an exact share of `count` indices; a share of 0 takes nothing from the generator."""
     if not share:
         return []
     order = torch.randperm(count, generator=generator).tolist()

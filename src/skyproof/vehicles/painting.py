@@ -1,4 +1,4 @@
-"""Paints a body's texture and part labels, texel by texel from where each texel lies in space."""
+"""Paints a body's texture and part labels, texel by texel, from each texel's position in space."""
 
 import torch
 from jaxtyping import Float, UInt8
@@ -11,7 +11,7 @@ from skyproof.vehicles.template import TOPOLOGY_BELT
 from skyproof.vehicles.vehicle import TEXTURE_SIZE, Part
 
 GLASS_SRGB = (0.060, 0.070, 0.080)
-"""What shows through panes, nearly nothing; single vehicles have 0.75 to 1.45 times as much."""
+"""Colour of panes, through which hardly anything shows; vehicles have 0.75 to 1.45 times this."""
 
 LARGE = ("bus", "lorry")
 """Body types that are painted as vans, with other roofs."""
@@ -36,7 +36,7 @@ def paint_vehicle(
 ) -> tuple[UInt8[Tensor, "3 512 512"], UInt8[Tensor, "512 512"]]:
     """Paints one vehicle's sRGB without light or shadow; its labels are exactly symmetric.
 
-    Colours of body panels and panes, sRGB in [0, 1], are drawn if None, with the same other draws.
+    Paint and glass, sRGB in [0, 1], are drawn if None. The other draws are the same in either case.
     """
     name, body_type = body_type, "van" if body_type in LARGE else body_type
     _, drawn_paint = sample_paint(body_type, generator=generator)
@@ -57,7 +57,7 @@ def paint_vehicle(
     if name in LARGE:
         _paint_large(canvas, name, paint, generator=generator)
     if coat == "plain" and chance[11] < 0.5:
-        # Neither a pane nor a wheel may be what tells a vehicle from a thing of its colour.
+        # So detectors cannot rely on panes and wheels to tell vehicles from things of their colour.
         canvas.colour.copy_(paint.view(3, 1, 1).expand_as(canvas.colour))
 
     texture, z, parts = (
@@ -177,8 +177,8 @@ def _paint_glass(c: TextureCanvas, body_type: str, glass: Tensor, *, panel_van: 
     where = inside & (c.y < c.rail_y - 0.055) & between(c.station, foot + 0.09, front - 0.04)
     c.fill(where, glass, Part.GLASS)
 
-    # Side windows: between shoulder and roof rail, the slope of windscreen and rear window bounding
-    # them.
+    # Side windows lie between shoulder and roof rail, bounded by the slopes of windscreen and rear
+    # window.
     above_belt = c.upper & (c.column < 13) & (c.z > c.belt + 0.03) & (c.y > c.rail_y - 0.01)
     beyond_roof = {"saloon": 0.20, "hatchback": 0.08, "pickup": -0.10}.get(body_type, -0.02)
     last = rear + beyond_roof
@@ -232,7 +232,7 @@ def _paint_roof(c: TextureCanvas, body_type: str, glass: Tensor, chance: list[fl
 
 
 def _paint_bed(c: TextureCanvas, colour: Tensor) -> None:
-    """Paints a pickup's load bed: a ribbed liner, or painted."""
+    """Paints a pickup's ribbed load bed in the colour of its liner or of the vehicle."""
     d = c.body.dimensions
     deck = d.length - d.deck_length
     bed = (c.column > TOPOLOGY_BELT + 1) & between(c.station, deck + 0.07, d.length - 0.085)
@@ -243,7 +243,7 @@ def _paint_bed(c: TextureCanvas, colour: Tensor) -> None:
 
 
 def _paint_large(c: TextureCanvas, name: str, paint: Colour, *, generator: torch.Generator) -> None:
-    """Paints a lorry's box behind the gap to its cab, or what stands on a bus's roof."""
+    """Paints a lorry's box behind the gap to its cab, or the objects on a bus's roof."""
     d = c.body.dimensions
     draws = torch.rand(6, 4, generator=generator).tolist()
     above = c.upper & (c.column > 12)
@@ -264,7 +264,7 @@ def _paint_large(c: TextureCanvas, name: str, paint: Colour, *, generator: torch
 
 
 def _dirty(texture: Tensor, z: Tensor, amount: float, *, generator: torch.Generator) -> Tensor:
-    """Lays road dust on the lower body and a faint unevenness everywhere."""
+    """Adds road dust to the lower body, and faint unevenness everywhere."""
     coarse = torch.randn(1, 1, 34, 34, generator=generator)
     (noise,) = torch.nn.functional.interpolate(coarse, size=TEXTURE_SIZE, mode="bicubic")
     dust = 0.30 * amount**2 * (1 - z / 0.9).clamp(0.0) * (1 + 0.5 * noise)

@@ -1,7 +1,7 @@
-"""Vehicles' paints at the frequencies of streets, and coats that few real vehicles wear.
+"""Paints of vehicles as frequent as on streets, and paints that few real vehicles have.
 
-A detector trained on catalogue paints alone takes colour for evidence. The coats prevent that: any
-plain colour, two tones, a livery.
+A detector trained on catalogue paints alone takes colour for evidence. The rare paints prevent
+that: any plain colour, two tones, a livery.
 """
 
 from typing import Literal
@@ -18,13 +18,13 @@ Coat = Literal["catalogue", "plain", "two_tone", "livery", "patterned"]
 """How a vehicle is painted: "catalogue" as real ones are; "patterned" with a catalogue paint, over
 which `skyproof.camouflage.random_controls` lays another pattern in every image."""
 
-_DARKEST, _LIGHTEST = 0.03, 0.97  # nothing paints blacker or whiter, sRGB
-# White cars in use are no whiter, or whole roofs would burn out where the sun stands high.
+_DARKEST, _LIGHTEST = 0.03, 0.97  # sRGB; no paint is blacker or whiter
+# White cars in use are no whiter; if they were, a high sun would overexpose whole roofs.
 _WHITEST_CAR = 0.91
-_HUES = torch.tensor([[-87.0, 99.0], [-108.0, 95.0]])  # sRGB's a* and b* lie within
+_HUES = torch.tensor([[-87.0, 99.0], [-108.0, 95.0]])  # ranges of a* and b* in sRGB
 _CANDIDATES = 64
 # A quarter of muted colours are nearly black, up to this CIELAB lightness: black vehicles look like
-# shadows and dark bays, and a detector that met few of them lost 20 to 29 % to black paint.
+# shadows and dark bays, and a detector trained on few of them lost 20 to 29 % to black paint.
 _BLACK_SHARE, _BLACK_BELOW = 0.25, 12.0
 # CIELAB lightness of a pair of a dark and a light tone.
 _DARK_BELOW, _LIGHT_ABOVE = 25.0, 80.0
@@ -78,11 +78,11 @@ def sample_paint(body_type: str, *, generator: torch.Generator) -> tuple[str, Fl
 def varied_colours(
     count: int, *, muted: float = 0.5, generator: torch.Generator
 ) -> Float[Tensor, "count 3"]:
-    """Draws sRGB colours of all kinds, a part of them `muted`, as primer and dust are.
+    """Draws sRGB colours of all kinds; the share `muted` is as dull as primer and dust.
 
-    Hardly a hundredth of CIELAB is nearly grey, and detectors trained on it alone lost vehicles in
-    one grey or beige (docs/results/detectors). Muted colours keep a part u ** 2 of their chroma, u
-    uniform, and are uniform in lightness, but for a quarter that are nearly black.
+    Hardly a hundredth of CIELAB is nearly grey, and detectors trained on uniform draws alone missed
+    vehicles in one grey or beige (docs/results/detectors). Muted colours keep u ** 2 of their
+    chroma, with u uniform, and have uniform lightness, except for a quarter that is nearly black.
     """
     cielab = srgb_to_cielab(_uniform_colours(count, generator=generator))
     chance, kept, lightness = torch.rand(3, count, 1, generator=generator)
@@ -100,7 +100,7 @@ def _uniform_colours(count: int, *, generator: torch.Generator) -> Float[Tensor,
         low, high = _HUES.T
         cielab = torch.cat([100 * draws[:, :1], low + (high - low) * draws[:, 1:]], dim=1)
         srgb = cielab_to_srgb(cielab)
-        # What sRGB cannot show was clipped, and does not come back.
+        # Colours that sRGB cannot show were clipped, and convert back to other values.
         shown = (srgb_to_cielab(srgb) - cielab).abs().amax(1) < 0.5
         found = torch.cat([found, srgb[shown]])
     return found[:count].clamp(_DARKEST, _LIGHTEST)
@@ -146,7 +146,7 @@ def _pair(generator: torch.Generator) -> Float[Tensor, "2 3"]:
 
 
 def _livery(canvas: TextureCanvas, generator: torch.Generator) -> None:
-    """One to four signs of a fleet: stripes along, bands across, chequers, panels."""
+    """Paints one to four fleet markings: stripes along, bands across, chequers, panels."""
     dimensions = canvas.body.dimensions
     count = 1 + int(torch.randint(4, (1,), generator=generator))
     for colour in varied_colours(count, generator=generator):
@@ -164,16 +164,16 @@ def _livery(canvas: TextureCanvas, generator: torch.Generator) -> None:
             half = 0.05 + 0.2 * width
             where = canvas.upper & between(canvas.y - middle, -half, half)
         elif kind == 2:
-            # A band across, leaning as it goes up.
+            # A slanting band across.
             lean = (other - 0.5) * 2 * canvas.z
             half = 0.1 + 0.7 * width
             where = between(canvas.behind - along + lean, -half, half)
         elif kind == 3:
-            # Chequers, as rescue vehicles have them.
+            # Chequers, as on rescue vehicles.
             side = 0.25 + 0.45 * width
             squares = torch.floor(canvas.behind / side) + torch.floor((canvas.z + canvas.y) / side)
             where = (squares % 2) == 0
         else:
-            # Everything before or behind a place.
+            # Everything ahead of one station.
             where = canvas.behind < along
         canvas.fill(where.expand_as(canvas.z), colour, Part.BODY)

@@ -48,12 +48,12 @@ class PaintVariety:
 
     @property
     def shares(self) -> dict[str, float]:
-        """Gives the shares by coat; what is missing from 1 wears catalogue paints."""
+        """Returns the shares by kind of paint; the rest of the fleet has catalogue paints."""
         return dict(vars(self))
 
 
 CATALOGUE_PAINTS = PaintVariety(plain=0.0, two_tone=0.0, livery=0.0, patterned=0.0)
-"""Vehicles painted as real ones are: those that are tested."""
+"""The paints of real vehicles, which tested vehicles have."""
 
 
 @dataclass(frozen=True)

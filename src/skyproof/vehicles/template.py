@@ -15,8 +15,8 @@ TOPOLOGY_BELT = 7  # shoulder: below it the side, above it the windows
 TOPOLOGY_RAIL = 11  # roof rail: below it the windows, above it the roof
 
 # Texels of a 512 map between two columns, for underside, lower side, window height and half roof.
-# They share out 256 texels so that a saloon's painted parts come to about 1 cm per texel; the
-# underside gets what is left.
+# They divide 256 texels so that a texel on a saloon's painted parts is about 1 cm long; the
+# underside gets the rest.
 _TEXELS = (2 * [19.0], 5 * [18.8], 4 * [16.0], 5 * [12.0])
 
 
@@ -74,7 +74,7 @@ def make_template() -> Template:
 
 
 def _fan(ring: Int[Tensor, " 33"], pole: int | Int[Tensor, " 32"]) -> Int[Tensor, "32 3"]:
-    """Triangles from the nose pole to each edge of a ring; reversed at the tail."""
+    """Returns triangles from a pole to each edge of a ring, wound for the nose pole."""
     apex = torch.as_tensor(pole).expand(COLUMNS)
     return torch.stack([apex, ring[:-1], ring[1:]], dim=1)
 

@@ -1,4 +1,4 @@
-"""Says how large a texel is on a vehicle, and which texels are roof, bonnet or sides."""
+"""Measures how large texels are on a vehicle, and finds which are roof, bonnet or sides."""
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -22,15 +22,15 @@ def texel_metric(
 ) -> tuple[Float[Tensor, "N 512 512"], Float[Tensor, "N 512 512"], Float[Tensor, "N 512 512"]]:
     """Measures length across, length along and area of every texel, at the present vertices.
 
-    Lengths take each template cell as bilinear. The area of its two triangles is shared out evenly,
-    so texels add up to the mesh's area. A pole's cells are quads with one side shrunk to the pole.
-    Metres and square metres, on the CPU.
+    For lengths each template cell is a bilinear patch. The area of its two triangles is divided
+    evenly, so that texels add up to the mesh's area. A pole's cells are quads with one side shrunk
+    to the pole. Results are in metres and square metres, on the CPU.
     """
     vertices = vehicles.vertices.detach().double().cpu()
     grid = _grid(vertices)
     to_texels = _column_shares()
 
-    # Edges of the rings, turning evenly from one ring to the next, at each row's middle.
+    # Edges of the rings, interpolated from one ring to the next at each row's middle.
     across = grid.diff(dim=2)
     down = ((torch.arange(_ROWS, dtype=torch.float64) + 0.5) / _ROWS)[:, None, None]
     edges = torch.lerp(across[:, :-1, None], across[:, 1:, None], down).flatten(1, 2).norm(dim=-1)
@@ -75,7 +75,7 @@ def texel_regions(vehicles: VehicleBatch) -> dict[str, Bool[Tensor, "N 512 512"]
 
 
 def _place_in_cells() -> tuple[Int[Tensor, " 512"], Float[Tensor, " 512"]]:
-    """The template's column in which the centre of each column of texels lies, and where in it."""
+    """Returns the template column that holds the centre of each texel column, and where in it."""
     u = column_u()
     centre = (torch.arange(TEXTURE_SIZE, dtype=torch.float64) + 0.5) / TEXTURE_SIZE
     column = (torch.searchsorted(u, centre) - 1).clamp(0, COLUMNS - 1)
@@ -93,7 +93,7 @@ def _grid(vertices: Float[Tensor, "N V 3"]) -> Float[Tensor, "N 33 33 3"]:
 def _cell_areas(
     vertices: Float[Tensor, "N V 3"], vehicles: VehicleBatch
 ) -> Float[Tensor, "N 32 32"]:
-    """Each cell's area; its triangles, one at the poles, else two, lie as in `make_template`."""
+    """Returns each cell's area, from its two triangles (one at the poles) of `make_template`."""
     a, b, c = vertices[:, vehicles.template.faces.cpu()].unbind(2)
     triangles = torch.linalg.cross(b - a, c - a).norm(dim=-1) / 2
     quads = triangles[:, COLUMNS:-COLUMNS].unflatten(1, (RINGS - 1, COLUMNS, 2)).sum(-1)
@@ -101,7 +101,7 @@ def _cell_areas(
 
 
 def _column_shares() -> Float[Tensor, "32 512"]:
-    """The share of each column of cells in each column of texels, which may straddle two."""
+    """Returns which share of each cell column lies in each texel column, which may straddle two."""
     edges = column_u() * TEXTURE_SIZE
     left = torch.arange(TEXTURE_SIZE, dtype=torch.float64)
     overlap = torch.minimum(edges[1:, None], left + 1) - torch.maximum(edges[:-1, None], left)

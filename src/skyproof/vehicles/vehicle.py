@@ -1,4 +1,4 @@
-"""Says what a vehicle is: vertices on the shared template, a texture and part labels."""
+"""A vehicle: vertices on the shared template, a texture and part labels."""
 
 from dataclasses import dataclass, replace
 from enum import IntEnum
@@ -44,7 +44,7 @@ class Template:
     vertex_uvs: Float[Tensor, "V 2"]
 
     def to(self, device: torch.device | str) -> "Template":
-        """Returns one and the same copy on a device: buffers know it by its faces."""
+        """Returns the copy on a device, always the same one, by whose faces buffers know it."""
         return _template_on(self, torch.device(device))
 
 

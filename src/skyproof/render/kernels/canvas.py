@@ -27,13 +27,13 @@ class ImageLayers:
 
 @wp.func
 def inside(at: wp.vec2i, size: int):
-    """Whether a square of this size has a pixel there."""
+    """Says whether a pixel lies inside a square of this size."""
     return at[0] >= 0 and at[1] >= 0 and at[0] < size and at[1] < size
 
 
 @wp.func
 def layer_at(canvas: ImageLayers, vehicle: int, here: wp.vec2i):
-    """What a vehicle and its shadow put on a pixel."""
+    """Returns what a vehicle and its shadow contribute to a pixel."""
     layer = Drawn()
     at = here - canvas.body_origins[vehicle]
     if inside(at, canvas.bodies.shape[2]):
@@ -109,7 +109,7 @@ class Show:
 
 @wp.func
 def clipped(value: float):
-    """Between 0 and 1, but what is no number stays none."""
+    """Clips a value to [0, 1]; NaN stays NaN."""
     return wp.where(value < 0.0, 0.0, wp.where(value > 1.0, 1.0, value))
 
 
@@ -155,7 +155,7 @@ def shown_value(light: float, black: float, white: float, shoulder: float):
 
 @wp.func
 def kept_light(drawn: Drawn, sky: float):
-    """What shadows leave of the ground's light."""
+    """Returns the share of the ground's light that shadows leave."""
     return 1.0 - (1.0 - sky) * drawn[4] - sky * drawn[5]
 
 
@@ -163,7 +163,7 @@ def kept_light(drawn: Drawn, sky: float):
 class SensorWindows:
     """Windows that are drawn in images, from `corners` on, and what the sensors do there.
 
-    Of each pixel and channel it keeps the ground's light, and the slope of the shown value.
+    For each pixel and channel it keeps the ground's light, and the slope of the shown value.
     """
 
     corners: wp.array(dtype=wp.vec2i)

@@ -10,13 +10,13 @@ import warp as wp
 
 from skyproof.render.lighting import OVERCAST, mean_luminance
 
-# Of the change from mirrored sky to mirrored ground, around the horizon.
+# Sharpness of the change from mirrored sky to mirrored ground, around the horizon.
 _HORIZON_SHARPNESS = 12.0
-# What of the vehicle hides the sun hides the brighter half of a clear sky, too, from what faces it:
-# about as much as path tracing has it between bumps (docs/cycles.md), and as a vehicle takes from
-# the ground close to it.
+# A part of the vehicle that hides the sun also hides the brighter half of a clear sky from surfaces
+# that face it. The loss is about that of path tracing between bumps (docs/cycles.md), and that of
+# the ground close to a vehicle.
 _SHADED_SKY_LOSS = 0.7
-# In units of white; path tracing cuts single paths there, too.
+# In units of white; path tracing clips single paths at this value, too.
 _BRIGHTEST_GLINT = 5.0
 _OVERCAST_MEAN = mean_luminance(OVERCAST, 90)
 _PI = math.pi
@@ -45,7 +45,7 @@ class SurfaceLight:
 
 @wp.func
 def arc_cosine(x: float):
-    """Returns it to 2e-8 (Abramowitz and Stegun 1964, 4.4.46)."""
+    """Returns the arc cosine to within 2e-8 (Abramowitz and Stegun 1964, 4.4.46)."""
     z = wp.abs(x)
     high = 0.0308918810 + z * (-0.0170881256 + z * (0.0066700901 - z * 0.0012624911))
     low = -0.2145988016 + z * (0.0889789874 + z * (-0.0501743046 + z * high))
@@ -83,7 +83,7 @@ def fresnel_reflectance(reflectance: float, gloss: float, cosine: float):
 def glint_lobe(aligned: float, exponent: float):
     """Blinn's lobe (1977) around the direction half-way from the sun to the viewer.
 
-    It is 0 where less than a billionth is left (log x <= x - 1), without an exponential.
+    It is 0 where less than 2.1e-9 is left (log x <= x - 1), without an exponential.
     """
     if exponent * (aligned - 1.0) < -20.0:
         return 0.0
@@ -92,7 +92,7 @@ def glint_lobe(aligned: float, exponent: float):
 
 @wp.func
 def ground_before(normal: wp.vec3, light: SurfaceLight):
-    """Light from the ground: the more a surface faces down, the more of it is its own shadow.
+    """Returns light from the ground; the more a surface faces down, the more ground it shades.
 
     Squared, so that gradients do not jump at level normals.
     """
@@ -102,10 +102,10 @@ def ground_before(normal: wp.vec3, light: SurfaceLight):
 
 @wp.func
 def facing_viewer(normal: wp.vec3, light: SurfaceLight):
-    """Cosine between normal and viewer.
+    """Returns the cosine between normal and viewer, at least 0.
 
-    Where faces turn away, normals between their corners may before them: they are seen edge-on at
-    most, or sills would mirror the sky.
+    Interpolated normals may turn away before their faces do. They then count as seen edge-on, or
+    sills would mirror the sky.
     """
     return wp.max(wp.dot(normal, light.viewer), 0.0)
 
@@ -114,8 +114,8 @@ def facing_viewer(normal: wp.vec3, light: SurfaceLight):
 def diffuse_light(normal: wp.vec3, sunlit: float, gloss: wp.vec2, light: SurfaceLight):
     """Light of sun, sky and ground that reaches the paint.
 
-    What the coat mirrors does not (Fresnel towards the viewer, as path tracers layer a coat).
-    `sunlit` is the share of the sun's light that the vehicle itself lets through.
+    What the clear coat mirrors does not reach it (Fresnel towards the viewer, as path tracers layer
+    a coat). `sunlit` is the share of the sun's light that the vehicle itself lets through.
     """
     towards_sun = wp.max(wp.dot(normal, light.sun), 0.0)
     sunny = towards_sun * sunlit
@@ -181,5 +181,5 @@ def weighted_radiance(
     light: SurfaceLight,
     weight: wp.vec3,
 ):
-    """One number, of which Warp works out the gradient in normal and albedo."""
+    """Returns one number, of which Warp derives the gradient in normal and albedo."""
     return wp.dot(weight, radiance(normal, albedo, sunlit, gloss, light))

@@ -1,4 +1,4 @@
-"""Shadows on the ground: what the sun does not reach, and what of the sky vehicles hide."""
+"""Shadows on the ground: where no sun reaches, and how much of the sky vehicles hide."""
 
 import warp as wp
 
@@ -11,7 +11,7 @@ _SHARE = 0.85
 _SQRT_2 = 1.4142135
 # A Gaussian never ends; ground that loses no more than this keeps its light.
 _FAINTEST = 2e-3
-# Of a clear sky's light, what is missing in a cast shadow far from the vehicle, and towards it.
+# Shares of a clear sky's light missing in a cast shadow: far from the vehicle, and more near it.
 _FAR_LOSS = 0.2
 _NEAR_LOSS = 0.9
 
@@ -70,8 +70,8 @@ def contact_shadow(place: wp.vec2, low: wp.vec2, high: wp.vec2, height: float):
 
 @wp.func
 def contact_at(shade: Shade, place: wp.vec2):
-    """The contact shadow, worked out near the vehicle alone."""
-    # From here on a tail is fainter than what is cut off.
+    """Returns the contact shadow, which is computed near the vehicle only."""
+    # Beyond this reach the Gaussian's tail is fainter than `_FAINTEST`, which is cut off.
     reach = 2.01 * shade.height * (_SPREAD * _SQRT_2)
     if place[0] < shade.low[0] - reach or place[0] > shade.high[0] + reach:
         return 0.0
@@ -98,7 +98,7 @@ def losses(cast: float, contact: float, sunlit: float, overcast: float, left: fl
 def weighted_losses(
     cast: float, contact: float, sunlit: float, overcast: float, left: float, weight: wp.vec2
 ):
-    """One number, of which Warp works out the gradient in both shadows."""
+    """Returns one number, of which Warp derives the gradient in both shadows."""
     return wp.dot(weight, losses(cast, contact, sunlit, overcast, left))
 
 

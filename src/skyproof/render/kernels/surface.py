@@ -7,7 +7,7 @@ from skyproof.render.kernels.light import SurfaceLight, diffuse_light, mirrored_
 from skyproof.render.kernels.texture import LEVELS, Pyramid, beginning
 from skyproof.render.materials import CAMOUFLAGE
 
-# Metres. So far behind the depth that the sun's view has for a sample a surface is lit, too.
+# In metres. A surface this far behind the sun's depth of a sample still counts as lit.
 _BEHIND_M = 0.05
 # Keeps the direction of a vanishing normal finite.
 _TINY = 1e-24
@@ -37,7 +37,7 @@ class Mesh:
 
 @wp.struct
 class Paint:
-    """What vehicles wear: reflectance (`LinearTexture`), and each texel's part and gloss.
+    """The paint of vehicles: reflectance (`LinearTexture`), and each texel's part and gloss.
 
     `gloss` holds a part's reflectance at normal incidence, and the exponent of its glint.
     """
@@ -74,7 +74,7 @@ class SurfaceSample:
 
 @wp.kernel(enable_backward=False)
 def texture_levels(mesh: Mesh, side: float, levels: wp.array2d(dtype=int)):
-    """Per triangle the pyramid level whose texel is as long as a sample, the squeezed way."""
+    """Finds each triangle's pyramid level: one texel per sample, in its most squeezed direction."""
     vehicle, face = wp.tid()
     corner = mesh.faces[face]
     a = mesh.screen[vehicle, corner[0]]
@@ -126,7 +126,7 @@ def mean_of(values: wp.array2d(dtype=wp.vec3), vehicle: int, corner: wp.vec3i, w
 
 @wp.func
 def sunlit_at(mesh: Mesh, vehicle: int, corner: wp.vec3i, weights: wp.vec3):
-    """1, or 0 where a part of the vehicle hides the sun: a shadow map (Williams 1978)."""
+    """Returns 1, or 0 if a part of the vehicle hides the sun, by a shadow map (Williams 1978)."""
     if not mesh.self_shadows:
         return 1.0
     place = mean_of(mesh.sun_places, vehicle, corner, weights)
@@ -141,9 +141,9 @@ def sunlit_at(mesh: Mesh, vehicle: int, corner: wp.vec3i, weights: wp.vec3):
 
 @wp.func
 def texels_around(pyramid: Pyramid, vehicle: int, uv: wp.vec2, level: int):
-    """Bilinear place at (u, v) of a pyramid's level (section S4.3), circular in u, held in v.
+    """Bilinear place at (u, v) of a pyramid's level (section S4.3), circular in u, clamped in v.
 
-    Sides are powers of two, of which `&` gives the remainder.
+    Sides are powers of two, so that `&` can give the remainder.
     """
     side = pyramid.side >> wp.clamp(level, pyramid.finest, LEVELS - 1)
     base = beginning(pyramid, side, vehicle)

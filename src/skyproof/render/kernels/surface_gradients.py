@@ -172,7 +172,7 @@ def silhouettes_back(
     into pieces at most a sample long, each with a point in its middle. A piece is visible if the
     sample just outside it is farther than the edge, or empty. The colour inside is that of its own
     triangle at the edge, because the nearest sample inside a thin triangle may show something else.
-    Of a `shadow` only the ground behind it counts, not what of the vehicle lies behind an edge.
+    For a `shadow` only the ground behind an edge counts, not the vehicle's parts behind it.
     """
     vehicle, edge = wp.tid()
     pair = edge_faces[edge]

@@ -6,7 +6,7 @@ A pyramid is one row of texels: level after level, texture by texture, row by ro
 import warp as wp
 
 LEVELS = 7
-"""Of a pyramid, of which the full map is level 0."""
+"""Number of levels of a pyramid; the full map is level 0."""
 TABLE = 1024
 """Pieces of the tables for sRGB."""
 
@@ -49,7 +49,7 @@ def beginning(pyramid: Pyramid, side: int, texture: int):
 
 @wp.func
 def from_table(table: wp.array(dtype=wp.vec2), srgb: float):
-    """A function of an sRGB value, from its pieces, which hold a value and how far it rises."""
+    """Evaluates a function of an sRGB value by its pieces, which hold a value and its increase."""
     place = srgb * float(TABLE)
     low = wp.clamp(int(place), 0, TABLE - 1)
     piece = table[low]
@@ -58,7 +58,7 @@ def from_table(table: wp.array(dtype=wp.vec2), srgb: float):
 
 @wp.func
 def texel_at(cloth: Cloth, index: int, y: int, x: int):
-    """What a texel of the full map reflects."""
+    """Returns the reflectance of a texel of the full map."""
     over = cloth.painted
     if cloth.masked:
         over = cloth.masks[index, y, x]
@@ -91,7 +91,7 @@ def fill(cloth: Cloth, side: int, texels: wp.array3d(dtype=wp.vec3), parts: int)
 
 @wp.func
 def from_all_levels(gradients: Pyramid, texture: int, row: int, column: int):
-    """The gradient of a texel of the finest level, to which each coarser one hands its share."""
+    """Returns the gradient of a texel of the finest level, with the shares of coarser levels."""
     total = wp.vec3()
     share = wp.float32(1.0)
     side = gradients.side >> gradients.finest

@@ -14,7 +14,7 @@ from skyproof.vehicles.wrapping.meshes import SourceMesh
 from skyproof.vehicles.wrapping.surface import Wrapping
 from skyproof.vehicles.wrapping.views import Outer, parallel_view
 
-# How many metres apart a point counts that faces the opposite way: two thin walls are not mixed up.
+# Distance that facing the opposite way adds, so that the two sides of a thin wall stay apart.
 _TURN_M = 0.15
 _NEIGHBOURS = 3
 _OUTSIDE_M = 0.03
@@ -34,7 +34,7 @@ class Texels:
 def bake(
     mesh: SourceMesh, outer: Outer, wrapping: Wrapping, mask: UInt8[np.ndarray, "H W"] | None
 ) -> Texels:
-    """Gives every texel the colour of the nearest outer surface of the mesh that faces alike."""
+    """Colours every texel as the nearest outer surface of the mesh that faces the same way."""
     points, normals = _texel_places(wrapping)
     kept = np.flatnonzero(wrapping.hull.inside(outer.points, _OUTSIDE_M))
     known = np.hstack([outer.points[kept], _TURN_M / 2 * outer.normals[kept]])
@@ -44,8 +44,7 @@ def bake(
     nearest = kept[nearest]
     colours, alphas = mesh.look(outer.face, outer.weights, mask)
     weight = 1 / (distance + 0.004)
-    # Only points on the nearest one's own material are averaged: a tyre does not bleed into the
-    # arch.
+    # Averages only points of the nearest one's material, so that tyres do not bleed into arches.
     weight *= mesh.material[outer.face[nearest]] == mesh.material[outer.face[nearest[:, :1]]]
     weight /= weight.sum(1, keepdims=True)
     shape = (TEXTURE_SIZE, TEXTURE_SIZE)
@@ -61,12 +60,12 @@ def bake(
 def _texel_places(
     wrapping: Wrapping,
 ) -> tuple[Float[np.ndarray, "512 512 3"], Float[np.ndarray, "512 512 3"]]:
-    """Finds each texel's centre on the wrapped template, and the surface's direction there."""
+    """Finds each texel's centre on the wrapped template, and the surface normal there."""
     template = make_template()
     uv = template.uvs[template.face_uvs].double().numpy()
     flat = np.concatenate([uv, np.zeros_like(uv[..., :1])], axis=-1)
     seen = parallel_view(flat, np.zeros(2), 1 / TEXTURE_SIZE, (TEXTURE_SIZE, TEXTURE_SIZE))
-    # Between the teeth at the two poles is nothing: the nearest texel counts.
+    # The map is empty between the triangles at the two poles; the nearest texel stands in.
     nearest = distance_transform_edt(seen.face < 0, return_distances=False, return_indices=True)
     face, weights = (values[tuple(nearest)] for values in seen)
     vertices = wrapping.vertices

@@ -11,18 +11,18 @@ from msgspec import Meta
 from skyproof.documents import parse_document
 from skyproof.errors import ConfigurationError
 
-# Of KHR_texture_transform and of a texture.
+# Default values of KHR_texture_transform and of a texture.
 _UNMOVED = {"offset": [0, 0], "rotation": 0, "scale": [1, 1], "texCoord": 0}
 _COMPRESSIONS = {"KHR_draco_mesh_compression": "Draco", "EXT_meshopt_compression": "meshopt"}
 _Number = Annotated[int, Meta(ge=0, le=50_000_000)]
 _Index = Annotated[int, Meta(ge=0)]
 _NUMBERS_EACH = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
-# Places, normals and UVs of five million triangles that share no corner are 120 million.
+# Positions, normals and UVs of five million triangles without common corners are 120 million.
 _MOST_NUMBERS = 150_000_000
 
 
 class _Accessor(msgspec.Struct):
-    """Of glTF: so many numbers, which the file need not even hold."""
+    """A glTF accessor: `count` elements, which the file need not even hold."""
 
     count: _Number
     type: str = "MAT4"
@@ -47,14 +47,14 @@ class _GltfTexture(msgspec.Struct):
     extensions: dict[str, Any] = {}
 
     def is_moved(self) -> bool:
-        """Whether it is laid by other UVs than the first ones as they are."""
+        """Says whether it uses anything but the unchanged first UVs."""
         transform = self.extensions.get("KHR_texture_transform")
         given = transform if isinstance(transform, dict) else {}
         return {**_UNMOVED, "texCoord": self.texCoord, **given} != _UNMOVED
 
 
 class _GltfColours(msgspec.Struct, frozen=True):
-    """The textures of colour, by either model of materials."""
+    """The colour textures of either material model."""
 
     baseColorTexture: _GltfTexture | None = None
     diffuseTexture: _GltfTexture | None = None
@@ -82,14 +82,14 @@ class _Gltf(msgspec.Struct):
     extensionsRequired: Annotated[list[str], Meta(max_length=1000)] = []
 
     def numbers(self) -> int:
-        """Counts what is read: every accessor, and again for every part and node that shows it."""
+        """Counts what is read: every accessor once, and again for every part and node using it."""
         sizes = [each.count * _NUMBERS_EACH.get(each.type, 16) for each in self.accessors]
         shown = Counter(node.mesh for node in self.nodes)
         total = sum(sizes)
         for index, mesh in enumerate(self.meshes):
             for part in mesh.primitives:
                 named = (*part.attributes.values(), part.indices)
-                # One that is not there is refused by trimesh.
+                # trimesh refuses accessors that do not exist.
                 own = sum(sizes[each] for each in named if each is not None and each < len(sizes))
                 total += own * max(1, shown[index])
         return total

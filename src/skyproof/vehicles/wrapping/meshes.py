@@ -18,8 +18,8 @@ _DARK_CABIN = 0.08  # what is seen through a transparent window
 class Material:
     """The look of some triangles; colours are sRGB in [0, 1], row 0 of the picture is on top.
 
-    A `plain` colour is a stand-in, because the file gives none. The picture's light is multiplied
-    by the `tint`.
+    A `plain` colour is a stand-in if the file gives none. The `tint` multiplies the picture's
+    light.
     """
 
     name: str
@@ -109,7 +109,7 @@ def find_texture(mesh: Path, name: str) -> Path | None:
     It looks at the given path, then for `model://<model>/...` among the textures of a model beside
     this one with its mesh in `<model>/meshes`, then by file name without regard to case in the
     mesh's folder, its `textures` and `materials/textures`, and those one folder up. Any other path
-    counts as a file name, and a link out of these folders as nothing.
+    counts as a file name. Links out of these folders are ignored.
     """
     name = name.strip().replace("\\", "/").removeprefix("file://")
     own, above = mesh.parent, mesh.parent.parent

@@ -27,9 +27,9 @@ def orient(
 ) -> tuple[SourceMesh, dict[str, str | float]]:
     """Turns, scales and moves a mesh.
 
-    The scale is in metres per unit, 1 by default. `up` and `forward`, where the nose points, are of
-    `AXES`. Missing ones come from the format or a guess: forward is the longest axis but up, up
-    the one of the other two without symmetry, pointing along its positive direction.
+    The scale is in metres per unit, 1 by default. `up` and `forward` (towards the nose) are among
+    `AXES`. Missing ones come from the format or are guessed: forward is the longest axis other than
+    up, and up the less symmetric of the two shorter axes, in its positive direction.
     `_nose_is_first` finds the nose.
 
     Returns:
@@ -80,7 +80,7 @@ def _turn(corners: Float[np.ndarray, "F 3 3"], up: str, forward: str) -> Float[n
 
 
 def _middle_y(points: Float[np.ndarray, "N 3"]) -> float:
-    """Finds the plane of symmetry, where the mirror image fits best: one mirror does not count."""
+    """Finds the plane of best symmetry, so that a door mirror on one side alone has no effect."""
     sample = points[:: max(len(points) // 6000, 1)]
     middle = (sample[:, 1].min() + sample[:, 1].max()) / 2
     shifts = middle + np.linspace(-0.12, 0.12, 49)
@@ -93,7 +93,7 @@ def _middle_y(points: Float[np.ndarray, "N 3"]) -> float:
 
 
 def _guess_up(points: Float[np.ndarray, "N 3"]) -> str:
-    """Takes, of the two shorter axes, the one about which mirroring fits worse."""
+    """Returns the one of the two shorter axes along which the mesh is less symmetric."""
     extent = np.ptp(points, axis=0)
     sample = points[:: max(len(points) // 4000, 1)]
     tree = cKDTree(sample)
@@ -111,7 +111,7 @@ def _fits(extent_m: Float[np.ndarray, " 3"]) -> bool:
 
 
 def _check_size(extent_m: Float[np.ndarray, " 3"], unit_m: float) -> None:
-    """Refuses what is no vehicle, and names a scale that would make it one."""
+    """Refuses a mesh without a vehicle's size, and names a scale that would fit."""
     if _fits(extent_m):
         return
     size = " x ".join(f"{value:.3g}" for value in extent_m)
@@ -130,12 +130,12 @@ def _check_size(extent_m: Float[np.ndarray, " 3"], unit_m: float) -> None:
 
 
 def _nose_is_first(corners: Float[np.ndarray, "F 3 3"]) -> tuple[bool, str]:
-    """Says whether +x is the nose, and by what: windscreen, bonnet, mirrors, or nothing.
+    """Says whether +x is the nose, and what shows it: windscreen, bonnet, mirrors, or nothing.
 
     1. Between 75 and 85 % of the height the nose's end slopes at least twice as far: the
-       windscreen. 2. Else the way from the end to where the vehicle is 85 % as high as it gets is
-       longer at the nose: bonnet and windscreen against boot and rear window. 3. Else mirrors,
-       which stick out by more than 5 cm, are in the front half.
+       windscreen. 2. Otherwise the distance from the end to where the vehicle reaches 85 % of its
+       height is longer at the nose: bonnet and windscreen against boot and rear window.
+       3. Otherwise mirrors, which protrude by more than 5 cm, are in the front half.
     """
     points = _spread(corners)
     low = points[:, 0].min()
@@ -165,7 +165,7 @@ def _nose_is_first(corners: Float[np.ndarray, "F 3 3"]) -> tuple[bool, str]:
 
 
 def _spread(corners: Float[np.ndarray, "F 3 3"]) -> Float[np.ndarray, "N 3"]:
-    """Spreads points all over the triangles: 78 on each, fewer where there are very many."""
+    """Spreads points over the triangles: 78 on each, or fewer if there are very many triangles."""
     side = next(
         (side for side in range(12, 2, -1) if side * (side + 1) // 2 * len(corners) < _MOST_POINTS),
         2,

@@ -14,7 +14,7 @@ from skyproof.vehicles.wrapping.baking import Texels
 from skyproof.vehicles.wrapping.meshes import SourceMesh
 from skyproof.vehicles.wrapping.surface import Wrapping
 
-# What a mesh without colours is painted in.
+# Colours for a mesh that has none.
 PLAIN_COLOURS = {
     Part.BODY: (0.66, 0.67, 0.69),
     Part.GLASS: (0.115, 0.14, 0.165),
@@ -38,14 +38,14 @@ _END_M = 0.6
 # Of windows that are not dark, in CIELAB: least difference from the paint, largest chroma and
 # lightness.
 _OTHER_COLOUR, _GREYISH, _PALE = 15.0, 22.0, 75.0
-# The smallest area; the share that lies at window height; and where less does, the share of its
-# outline at which it may go on elsewhere.
+# Of a pane: the smallest area; the least share at window height of the area that it belongs to; and
+# if less lies there, the largest share of its outline along which that area may continue elsewhere.
 _LEAST_TEXELS, _WITHIN, _GOES_ON = 150, 0.8, 1 / 3
 _MODE_PX = 7
 
 
 def name_part(name: str) -> Part | None:
-    """Takes a part from the name of a material or object; None for nothing, mostly paint."""
+    """Returns the part that a material's or object's name tells; None (mostly paint) if none."""
     words = name.lower().replace("_", " ")
     return next((part for part, pattern in _NAMES if re.search(pattern, words)), None)
 
@@ -63,10 +63,10 @@ def label_parts(
     1. A material or object named wheel, glass, light, bumper, trim or chassis is that; a material
     less than half opaque is glass. 2. Columns of the floor are underside. 3. Round areas on the
     ground at the sides are wheels, unless a name says wheel. 4. The rest is paint, except below
-    half in the paint mask or, without one, if dark and grey. Other texels are glass at window
-    height unless level, light if bright or red within 60 cm of an end (with a mask only), bumper
-    low at an end, else trim. 5. Without a mask, a greyish area of another colour than the paint at
-    window height is glass, too.
+    half in the paint mask or, without one, if dark and grey. What is not paint is glass at window
+    height unless level, light if bright or red within 60 cm of an end (with a mask only), bumper if
+    low at an end, and trim otherwise. 5. Without a mask, a greyish area of another colour than the
+    paint at window height is glass, too.
 
     `plain` texels have no colour in the file. `masked` says whether their alpha is a paint mask.
     The second result is the share of texels that each rule decided.
@@ -95,7 +95,7 @@ def label_parts(
     other = np.full(z.shape, int(Part.TRIM), np.int64)
     at_end = ends < _END_M
     other[at_end & (z < 0.33 * height + 0.12)] = Part.BUMPER
-    # Walls of a load bed look inwards.
+    # Walls of a load bed face inwards.
     outwards = texels.normals[..., 1] * np.sign(y) > -0.3
     at_windows = (z > window_z) & (texels.normals[..., 2] < 0.975) & outwards
     other[at_windows] = Part.GLASS
@@ -113,7 +113,7 @@ def label_parts(
     parts = np.where(decided, named, parts)
     floor &= ~((named == int(Part.WHEEL)) & (_column() > 0.8)[None])
     parts[floor] = Part.UNDERSIDE
-    # The most frequent label around each texel, so that specks go.
+    # Takes the most frequent label around each texel, which removes specks.
     around = [
         uniform_filter((parts == part).astype(np.float32), _MODE_PX, mode="wrap") for part in Part
     ]
@@ -139,7 +139,7 @@ def _panes(
     other = np.linalg.norm(lab - np.median(lab[open_ & paint], axis=0), axis=-1) > _OTHER_COLOUR
     greyish = (np.hypot(lab[..., 1], lab[..., 2]) < _GREYISH) & (lab[..., 0] < _PALE)
     like_panes = open_ & other & greyish
-    # Twice side by side, as the map is closed around the vehicle.
+    # Repeated side by side, because the map is circular in u.
     every, within = (np.tile(each, 2) for each in (like_panes, like_panes & at_windows))
     area_of, _ = label(within)
     whole_of, _ = label(every)
@@ -147,7 +147,7 @@ def _panes(
     def per_area(mask: Bool[np.ndarray, "512 1024"]) -> Int[np.ndarray, " A"]:
         return np.bincount(area_of[mask & within], minlength=int(area_of.max()) + 1)
 
-    # Much of what they belong to lies elsewhere, and they go on there along much of their outline.
+    # Areas of which much lies elsewhere, and which continue there along much of their outline.
     inside = np.bincount(whole_of[within], minlength=int(whole_of.max()) + 1)
     spread = (inside < _WITHIN * np.bincount(whole_of.ravel()))[whole_of]
     outline = per_area(~binary_erosion(within))
@@ -165,7 +165,7 @@ def _column() -> Float[np.ndarray, " 512"]:
 
 
 def _floor(z: Float[np.ndarray, "512 512"], wrapping: Wrapping) -> Bool[np.ndarray, "512 512"]:
-    """Returns the underside's texels; on the two end faces its columns run up to the poles."""
+    """Returns the underside's texels, except where its columns run up the end faces."""
     ring = np.arange(TEXTURE_SIZE)[:, None] / TEXTURE_SIZE * (RINGS + 1)
     end_face = (ring < 3) | (ring > RINGS - 2)
     clearance = float(np.median(wrapping.hull.low))

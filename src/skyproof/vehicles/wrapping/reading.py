@@ -23,13 +23,13 @@ from skyproof.pictures import decoded
 from skyproof.vehicles.wrapping.gltf import refuse_misread
 from skyproof.vehicles.wrapping.meshes import GREY, Material, SourceMesh, find_texture, is_picture
 
-# What else trimesh opens are archives, documents with programs, and forms without triangles.
+# Other formats of trimesh are archives, documents with programs, and shapes without triangles.
 _FORMATS = (".obj", ".glb", ".gltf", ".ply", ".stl", ".off")
 _LARGEST_FILE = 500_000_000
 # A scene may show a part many times.
 _MOST = {"triangles": 5_000_000, "nodes": 100_000, "texels in its textures": 400_000_000}
 
-# Where UVs have no material trimesh makes up a picture; those of files have a format.
+# trimesh makes up a picture for UVs without material; only pictures from files have a format.
 _STAND_IN_PX = (2, 2)
 
 
@@ -59,18 +59,18 @@ class _Neighbours(Resolver):
         return path.read_bytes()
 
     def _named_materials(self) -> bytes:
-        """Writes the materials that an OBJ names, without colours: names tell parts."""
+        """Returns the materials that an OBJ names, without colours, as names tell parts."""
         names = re.findall(rb"^[ \t]*usemtl[ \t]+(\S.*?)\s*$", self.mesh.read_bytes(), re.MULTILINE)
         return b"".join(b"newmtl %s\n" % name for name in dict.fromkeys(names))
 
     def _check_picture(self, path: Path, name: str) -> None:
-        """Notes a texture that trimesh would drop without a word."""
+        """Notes a texture that trimesh would drop silently."""
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 Image.open(path).close()
         except Exception:
-            # Pillow's readers meet damage with any exception there is.
+            # Pillow's readers may raise any exception for a damaged file.
             unread = f"texture {name} cannot be read as a picture"
             self.notes.append(f"{unread}; a plain colour was taken.")
             raise
@@ -178,9 +178,9 @@ def _read_with_trimesh(path: Path) -> SourceMesh:
 
 
 def _counted_from_the_start(path: Path) -> io.BytesIO | None:
-    """Rewrites an OBJ whose faces count corners back from their own line, which is negative.
+    """Rewrites an OBJ whose faces have negative indices, which count back from their own line.
 
-    trimesh counts back from the end of the file. None is a file without such faces.
+    trimesh counts back from the end of the file. Returns None if there are no such faces.
     """
     content = path.read_bytes().replace(b"\r\n", b"\n").replace(b"\\\n", b"")
     if not re.search(rb"^f[^\n]*-[0-9]", content, re.MULTILINE):
@@ -199,7 +199,7 @@ def _counted_from_the_start(path: Path) -> io.BytesIO | None:
 
 
 def _counted(corner: bytes, counts: Sequence[int]) -> bytes:
-    """Counts the numbers of a corner, such as -1/-1/-1, from the start of the file."""
+    """Converts the indices of a corner, such as -1/-1/-1, to count from the start of the file."""
     numbers = []
     for text, count in zip(corner.split(b"/"), counts, strict=False):
         if text.startswith(b"-") and not -count <= int(text) < 0:
@@ -248,7 +248,7 @@ def _material_of(visual: Any, name: str, *, linear: bool) -> tuple[Material, Ima
         colour or GREY,
         opacity=opacity,
         plain=picture is None and colour is None,
-        # Of an OBJ most exporters write a colour that is not meant for its texture.
+        # In an OBJ most exporters write a colour that is not meant to tint its texture.
         tint=colour if linear and picture is not None else None,
     )
     return looks, picture
@@ -285,7 +285,7 @@ def _picture_and_colour(
 
 
 def _without_flat_triangles(path: Path, mesh: SourceMesh) -> SourceMesh:
-    """Drops triangles without area or with coordinates that are no numbers, and says so."""
+    """Drops triangles without area or with coordinates that are not finite, and notes that."""
     a, b, c = mesh.corners.transpose(1, 0, 2)
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     finite = np.isfinite(mesh.corners).all((1, 2))

@@ -1,4 +1,4 @@
-"""Takes a vehicle's hull from six sides, without interior and wheel gaps, and cuts it across."""
+"""Finds a vehicle's hull from six sides, without interior and wheel gaps, and cuts it crosswise."""
 
 from dataclasses import dataclass
 
@@ -11,9 +11,9 @@ from skyproof.vehicles.wrapping.views import parallel_view
 
 DIRECTIONS = 360  # around the axis: one degree, 16 mm at 0.9 m
 _CELL_M = 0.01
-_THIN_M = 0.32  # what stands out of the outline and is narrower: mirrors, aerials
+_THIN_M = 0.32  # narrower parts of the outline are left out: mirrors, aerials
 _WHEEL_GAP_M = 0.14  # between tyre and arch, and other gaps in the sides
-_RUNGS_M = 0.26  # between what stands on a roof: rungs of a ladder, bars of a rack
+_RUNGS_M = 0.26  # gaps on a roof, between rungs of a ladder or bars of a rack
 _CLEAR_M = 0.4
 
 
@@ -43,7 +43,7 @@ class Hull:
     def index(
         self, values: Float[np.ndarray, "*N"], axis: int, count: int
     ) -> Int[np.ndarray, "*N"]:
-        """Returns the cell along one axis, held inside the grid."""
+        """Returns the cell along one axis, clamped to the grid."""
         return np.floor((values - self.start[axis]) / self.cell).astype(np.int64).clip(0, count - 1)
 
     def snap(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
@@ -77,7 +77,7 @@ class Hull:
 
 
 def no_body() -> ConfigurationError:
-    """Says that a mesh has not what the template can be laid around."""
+    """Returns the error for a mesh that the template cannot be wrapped around."""
     return ConfigurationError(
         "The mesh has no closed body: a piece wider than "
         f"{_THIN_M:g} m that goes on from nose to tail was expected; give the mesh of a whole "
@@ -86,10 +86,10 @@ def no_body() -> ConfigurationError:
 
 
 def find_hull(corners: Float[np.ndarray, "F 3 3"]) -> Hull:
-    """Looks at a mesh from six sides.
+    """Finds a mesh's hull, looking at it from six sides.
 
-    It takes mirrors and other parts below 32 cm off the outline from above, and closes gaps in the
-    sides up to 14 cm and on top up to 26 cm: wheel arches, ladders.
+    Mirrors and other parts narrower than 32 cm are removed from the outline from above. Gaps are
+    closed up to 14 cm in the sides (wheel arches) and up to 26 cm on top (ladders).
     """
     points = corners.reshape(-1, 3)
     extent = np.ptp(points, axis=0)
@@ -116,7 +116,7 @@ def find_hull(corners: Float[np.ndarray, "F 3 3"]) -> Hull:
         raise no_body()
     pieces, _ = label(footprint)
     footprint = pieces == 1 + int(np.argmax(np.bincount(pieces.ravel())[1:]))
-    # Thin aerials go; a few millimetres of noise may stay.
+    # Removes thin aerials; a few millimetres of noise may stay.
     top = grey_opening(np.where(footprint, top, -1.0), 3)
     top = grey_closing(top, round(_RUNGS_M / cell), mode="nearest")
     top = np.where(footprint, top, -np.inf)
@@ -126,8 +126,8 @@ def find_hull(corners: Float[np.ndarray, "F 3 3"]) -> Hull:
     reach = np.stack([np.where(footprint, side, 0.0).max(1) + cell / 2 for side in (y, -y)])
     reach[:, ~footprint.any(1)] = 0.0
     sides = np.stack([look(0, 2, 1, 1.0), look(0, 2, 1, -1.0)]).clip(0.0)
-    # A mirror's foot is left by the outline; tyres, lower down, are as short where they touch the
-    # ground.
+    # The outline leaves a mirror's foot, which is removed here. Only high up, because tyres are as
+    # short where they touch the ground.
     z = start[2] + (np.arange(counts[2]) + 0.5) * cell
     upper = z > 0.4 * extent[2]
     for side in sides:
@@ -147,7 +147,7 @@ def find_hull(corners: Float[np.ndarray, "F 3 3"]) -> Hull:
     floor = np.array([np.nanmedian(row) if np.isfinite(row).any() else np.nan for row in under])
     floor = np.where(np.isfinite(floor), floor, low)
     floor = median_filter(floor, round(_CLEAR_M / cell), mode="nearest")
-    # Without a floor of its own one sees up into the roof.
+    # In a mesh without a floor, the view from below reaches the roof.
     floor = np.minimum(floor, np.median(low) + 0.25)
 
     ends = start[0] + (np.flatnonzero(footprint.any(1))[[0, -1]] + [0, 1]) * cell
@@ -160,7 +160,7 @@ def find_hull(corners: Float[np.ndarray, "F 3 3"]) -> Hull:
 def _between(
     rows: Float[np.ndarray, "N C"], at: Float[np.ndarray, " N"]
 ) -> Float[np.ndarray, " N"]:
-    """Interpolates one value of each row between two cells; not finite where one of them is not."""
+    """Interpolates each row between two cells; infinite where one of the two is not finite."""
     left = np.floor(at).astype(np.int64).clip(0, rows.shape[1] - 2)
     row = np.arange(len(rows))
     low, high = rows[row, left], rows[row, left + 1]
@@ -195,14 +195,14 @@ def _directions() -> Float[np.ndarray, "D 2"]:
 
 
 def cut_sections(hull: Hull) -> Sections:
-    """Cuts an outline for every x with cells, where rays from the axis leave the hull at last."""
+    """Cuts an outline for every x with cells, where rays from the axis last leave the hull."""
     count_y, count_z = hull.top.shape[1], hull.sides.shape[2]
     rows = np.flatnonzero(np.isfinite(hull.top).any(1) & (hull.sides.max((0, 2)) > 0.05))
     middle = np.abs(hull.start[1] + (np.arange(count_y) + 0.5) * hull.cell) < 0.12
     roof = np.where(np.isfinite(hull.top), hull.top, np.nan)[rows]
     some = [row[middle] if np.isfinite(row[middle]).any() else row for row in roof]
     height = np.array([np.nanmedian(row) for row in some])
-    # Below a pickup's bed; without steps that would shear the surface from one plane to the next.
+    # Runs below a pickup's bed. Smoothed, as steps would shear the surface between two planes.
     axis_z = median_filter((height + hull.low[rows]) / 2, 9, mode="nearest")
     direction = _directions()
     reach = float(np.hypot(hull.sides.max(), count_z * hull.cell))

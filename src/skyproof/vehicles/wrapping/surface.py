@@ -91,7 +91,7 @@ def _profiles(sections: Sections) -> Float[np.ndarray, "S K"]:
 
 
 def _end(sections: Sections, step: int) -> int:
-    """Finds the first plane behind an end that is over half as wide as the vehicle."""
+    """Finds the first plane behind an end that is more than 0.6 times as wide as the vehicle."""
     y, _ = sections.points()
     width = np.ptp(y, axis=1)
     cell = sections.station[1] - sections.station[0]
@@ -101,7 +101,7 @@ def _end(sections: Sections, step: int) -> int:
 
 
 def _choose_stations(sections: Sections) -> Int[np.ndarray, " 27"]:
-    """Chooses 27 planes, the straight connections of which follow the profiles best."""
+    """Chooses the 27 planes between which straight lines follow the profiles best."""
     first = _end(sections, 1)
     last = _end(sections, -1)
     profiles = _profiles(sections)[first : last + 1]
@@ -134,7 +134,7 @@ def _choose_stations(sections: Sections) -> Int[np.ndarray, " 27"]:
 
 
 def _belt_height(sections: Sections) -> float:
-    """Finds the shoulder, where the middle half's sides lean in; 0.6 of the height if upright."""
+    """Finds the shoulder, where the middle's sides start to lean in, or 0.6 of the height."""
     y, z = sections.points()
     middle = np.abs(sections.station) < 0.3 * np.ptp(sections.station)
     side = z[middle].ravel()
@@ -158,7 +158,7 @@ def _places(
 
     Columns 0 to 6 stay 0. The rail is smoothed along the vehicle, so that columns run evenly.
     """
-    # How the columns above the belt share the way to the roof's middle.
+    # How the columns above the belt divide the distance to the roof's middle.
     u = column_u().numpy()[: _HALF + 1]
     upper = (u[TOPOLOGY_BELT:] - u[TOPOLOGY_BELT]) / (u[_HALF] - u[TOPOLOGY_BELT])
     split = upper[TOPOLOGY_RAIL - TOPOLOGY_BELT]
@@ -172,8 +172,7 @@ def _places(
         out, up = y[row, s:], z[row, s:]
         along = np.r_[0.0, np.hypot(np.diff(out), np.diff(up)).cumsum()]
         along += 1e-7 * np.arange(len(out))
-        # The rail is the corner of the outline above the shoulder: farthest from the straight line
-        # over it.
+        # The rail is the outline's corner above the shoulder: farthest from the chord over it.
         off = np.abs((out - out[0]) * (up[-1] - up[0]) - (up - up[0]) * (out[-1] - out[0]))
         corner = along[int(np.argmax(off))] / along[-1]
         share = np.clip((z[row].max() - up[0] - 0.06) / 0.2, 0.0, 1.0)

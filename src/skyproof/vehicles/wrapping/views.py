@@ -30,7 +30,7 @@ class SeenFaces(NamedTuple):
 
 
 def view_axes(azimuth_deg: float, elevation_deg: float) -> Float[np.ndarray, "3 3"]:
-    """Returns image right, image down and away from a viewer at this azimuth and elevation."""
+    """Returns the directions right, down and away as seen from this azimuth and elevation."""
     azimuth_rad, elevation_rad = np.radians((azimuth_deg, elevation_deg))
     c = np.cos(azimuth_rad)
     s = np.sin(azimuth_rad)
@@ -52,7 +52,7 @@ def parallel_view(
     faces = torch.arange(3 * len(corners)).view(-1, 3)
     places = (screen.view(1, -1, 2), depth.view(1, -1))
     seen = visible_faces(rasterise(*places, faces, max(height, width), two_sided=True))
-    # The window is square; what lies beyond the picture goes.
+    # The rasterised window is square; the part beyond the picture is cut off.
     face = seen[0, :height, :width]
     y, x = torch.nonzero(face >= 0, as_tuple=True)
     a, b, c = screen[face[y, x]].unbind(1)
@@ -70,9 +70,10 @@ def _cross(first: Float[torch.Tensor, "K 2"], second: Float[torch.Tensor, "K 2"]
 
 @dataclass(frozen=True)
 class Outer:
-    """Points that are seen from outside, and how many triangles are, of which some are inverted.
+    """Points seen from outside, and how many triangles are `seen`, of which some are `inverted`.
 
-    Normals are those of their triangles, towards the view; a point may be seen only from `below`.
+    Normals are those of the triangles, turned towards the view; `below` marks points of the view
+    from below.
     """
 
     points: Float[np.ndarray, "N 3"]
@@ -107,7 +108,7 @@ def look_around(corners: Float[np.ndarray, "F 3 3"]) -> Outer:
         towards = normal[face] @ -axes[2]
         normals = normal[face] * np.where(towards < 0, -1.0, 1.0)[:, None]
         looks.append((normals, face, seen.weights[hit], np.full(len(face), elevation == -90)))
-        # Edge-on pixels say nothing about the side.
+        # Triangles seen edge-on do not tell which side is outside.
         side = np.where(np.abs(towards) > 0.1, np.sign(towards), 0).astype(np.int64)
         np.add.at(votes, face, side)
     normals, face, weights, below = (np.concatenate(parts) for parts in zip(*looks, strict=True))

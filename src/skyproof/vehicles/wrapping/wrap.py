@@ -29,7 +29,7 @@ _EVERY = 5  # points are dense enough for one in five
 
 @dataclass(frozen=True)
 class WrappedVehicle:
-    """One mesh, oriented, on the template; the report is on axes, fit, labels and repairs."""
+    """One mesh, oriented, on the template; the report covers axes, fit, labels and repairs."""
 
     mesh: SourceMesh
     vertices: Float[Tensor, "994 3"]
@@ -156,7 +156,7 @@ def _distances(
     start: tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"]],
     goal: tuple[Float[np.ndarray, "M 3"], Float[np.ndarray, "M 3"]],
 ) -> Float[np.ndarray, " K"]:
-    """From one in five points to the other surface, or to the nearest point's plane within 2 px."""
+    """Returns distances of one in five points to the other's nearest, or its plane within 2 px."""
     points = start[0][::_EVERY]
     tree = cKDTree(goal[0], balanced_tree=False, compact_nodes=False)
     distance, nearest = tree.query(points)
