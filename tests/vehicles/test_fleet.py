@@ -1,6 +1,7 @@
 """Fleets: from a seed, and to disk and back."""
 
 import json
+from collections import Counter
 from functools import lru_cache
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from safetensors.torch import load_file, save_file
 
 from skyproof.errors import ConfigurationError, RunFolderError, StoredFileError
 from skyproof.vehicles.fleet import Fleet, FleetSettings, sample_fleet
+from skyproof.vehicles.settings import PaintVariety
 from skyproof.vehicles.vehicle import Part
 
 
@@ -52,6 +54,17 @@ def test_paints_of_a_place_are_worn_in_their_shares() -> None:
     assert len(fleet.sources) == 8
     assert _same(fleet, drawn(8))
     assert not torch.equal(fleet.textures, drawn(8, seed=1).textures)
+
+
+def test_a_coat_in_place_of_the_paint_of_a_place_is_recorded_alone() -> None:
+    settings = FleetSettings(count=8, paints=PaintVariety(0.5, 0.0, 0.0, 0.0))
+    worn = torch.full((4, 3), 0.5)
+    fleet = sample_fleet(settings, worn=worn, generator=torch.Generator().manual_seed(0))
+    records = [tuple(each.items()) for each in fleet.sources.values()]
+    assert Counter(records) == {
+        (("coat", "plain"),): 4,
+        (("paint", "of a labelled vehicle"),): 4,
+    }
 
 
 def test_the_global_seed_does_not_matter() -> None:

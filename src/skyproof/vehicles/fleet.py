@@ -228,9 +228,10 @@ def sample_fleet(
     sources: dict[str, dict[str, str]] = {
         name: {"coat": coat} for name, coat in zip(ids, coats, strict=True) if coat != _USUAL
     }
-    for name, paint in zip(ids, paints, strict=True):
-        if paint is not None:
-            sources.setdefault(name, {})["paint"] = "of a labelled vehicle"
+    for name, coat, paint in zip(ids, coats, paints, strict=True):
+        # Every other coat replaces or covers the paint.
+        if paint is not None and coat == _USUAL:
+            sources[name] = {"paint": "of a labelled vehicle"}
     for index in exact_share(settings.shapes, settings.count, generator):
         sources.setdefault(ids[index], {})["shape"] = "random"
     vertices, textures, parts = (torch.stack(each) for each in zip(*drawn, strict=True))
