@@ -1,5 +1,5 @@
 """Procedural ground: tiles of streets, lots, roofs, fields and water, painted without a photograph.
 
-Here belongs what draws such a tile and writes a background set of them. Ground that was
-photographed belongs to `imagery`, and reading either to `scenes`.
+The code that draws such tiles and writes background sets of them belongs here. Ground that was
+photographed belongs to `imagery`, and reading either of them to `scenes`.
 """

@@ -38,8 +38,8 @@ def palette(colours: str) -> tuple[Colour, ...]:
 class Patch:
     """The part of the canvas that one shape touches, `[h, w]`.
 
-    `u` and `v` are metres along and across the shape, from its centre, `inside` metres inside the
-    outline, negative outside. `coverage` is the covered share of each pixel.
+    `u` and `v` are metres along and across the shape, from its centre. `inside` is the distance in
+    metres from the outline, negative outside it. `coverage` is the covered share of each pixel.
     """
 
     rows: slice
@@ -80,7 +80,7 @@ class Canvas:
         self._fields = self._draw_fields()
 
     def _draw_fields(self) -> dict[str, Array]:
-        """Periodic noise of unit variance, by feature size; one transform, filtered three ways."""
+        """Returns periodic noise of unit variance by feature size: one transform, four filters."""
         n = self.pixels
         # In cycles per metre.
         frequency = np.hypot(np.fft.fftfreq(n)[:, None], np.fft.rfftfreq(n)[None]) / self.gsd_m
@@ -109,7 +109,7 @@ class Canvas:
         return field[rows[:, None], columns[None]]
 
     def to_pixels(self, u_m: float, v_m: float) -> tuple[float, float]:
-        """Column and row of a place."""
+        """Returns the column and row of a place."""
         x, y = beside((0.0, 0.0), self.axes_rad, u_m, v_m)
         return self.pixels / 2 + x / self.gsd_m, self.pixels / 2 - y / self.gsd_m
 
@@ -211,12 +211,12 @@ class Canvas:
         region *= (1 + patch.coverage * (np.asarray(factor, np.float32) - 1))[..., None]
 
     def mute(self, kept: float) -> None:
-        """Draws all reflectance towards grey, keeping a part of its chroma: dust, drought, soot."""
+        """Moves all reflectance towards grey, keeping a part of its chroma: dust, drought, soot."""
         grey = self.reflectance.mean(2, keepdims=True)
         self.reflectance = grey + np.float32(kept) * (self.reflectance - grey)
 
     def raise_to(self, patch: Patch, height_m: float | Array) -> None:
-        """Raises the height to `height_m` above the ground, where what stands there is lower."""
+        """Raises the canvas under the patch to `height_m` above the ground, where it is lower."""
         region = self.height[patch.rows, patch.columns]
         height_m = np.where(patch.coverage > 0.5, height_m, -np.inf)
         np.maximum(region, height_m, out=region, casting="same_kind")
@@ -224,7 +224,7 @@ class Canvas:
     def allow(
         self, patch: Patch, where: NDArray[np.bool_] | bool = True, turn_rad: float = 0.0
     ) -> None:
-        """Allows the middle of a vehicle that heads along the patch's u, turned to the left."""
+        """Allows middles of vehicles that head along the patch's u, turned left by `turn_rad`."""
         if min(patch.v.shape) < 2:
             return
         down, right = np.gradient(patch.v)

@@ -8,8 +8,8 @@ import numpy as np
 from skyproof.ground.canvas import Array, Canvas, Patch, Place, beside, palette, reflectance
 from skyproof.vehicles.paints import PAINT_SHARES, PAINT_TONES
 
-# Things of a car's size have the vehicles' own paints as often as vehicles do. A detector would
-# take a colour that only one of the two has for evidence.
+# Things of a car's size have each vehicle paint as often as vehicles do, because a detector would
+# treat a colour that only one of the two has as evidence.
 _PAINT_NAMES = tuple(PAINT_SHARES)
 _PAINT_SHARES = np.asarray([PAINT_SHARES[name] for name in _PAINT_NAMES])
 
@@ -126,7 +126,7 @@ def add_pool(canvas: Canvas, place: Place, angle_rad: float) -> None:
 
 
 def add_kiosk(canvas: Canvas, place: Place, angle_rad: float) -> None:
-    """Adds a booth as small as a car: a roof whose ends or border have another colour."""
+    """Adds a booth as small as a car; one end or the border of its roof has another colour."""
     size_m = (canvas.rng.uniform(2.2, 4.8), canvas.rng.uniform(1.7, 2.6))
     height_m = canvas.rng.uniform(2.2, 3.0)
     _box(canvas, place, (*size_m, height_m), angle_rad, _painted(canvas))
@@ -237,7 +237,7 @@ CLUTTER: dict[str, Callable[[Canvas, Place, float], None]] = {
     "stairs": add_stairs,
     "tarpaulin": add_tarpaulin,
 }
-"""Things that a careless detector takes for cars."""
+"""Things that a poor detector mistakes for cars."""
 
 
 def add_clutter(canvas: Canvas, place: Place, angle_rad: float, *kinds: str) -> None:
@@ -251,9 +251,9 @@ CROWN_COLOURS = palette("465c30 3a5232 586636 60603a 32462e 70763e 263428 3e3436
 
 
 def add_stand(canvas: Canvas, place: Place, reach_m: float) -> None:
-    """Plants trees so near to each other that their crowns close, most of them of one kind.
+    """Plants trees so close together that their crowns touch, most of them of one kind.
 
-    Dark gaps are left between some of them, as large as a vehicle and as black as one.
+    Some dark gaps are left between them, as large and as black as a vehicle.
     """
     rng = canvas.rng
     kind = canvas.pick(CROWN_COLOURS, 0.1)

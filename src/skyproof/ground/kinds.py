@@ -69,7 +69,7 @@ def _draw_plot(
     before_m: tuple[float, float],
     roof: str,
 ) -> None:
-    """Draws a plot beside a road, whose front and verge lie before the house."""
+    """Draws a plot; `before_m` holds its distance from the middle of the road, and its verge."""
     rng = canvas.rng
     front_m, verge_m = before_m
     depth_m = rng.uniform(8, 12)
@@ -138,7 +138,7 @@ def draw_crossroads(canvas: Canvas) -> None:
     for along, own_m, crossed_m in ((ground, width_m, other_m), (across, other_m, width_m)):
         _mark_crossing(canvas, canvas.band(along, 0.0, own_m - 0.6), crossed_m)
     for _ in range(rng.integers(2, 7)):
-        # Paths for cycles or for feet cross the roads, and lines guide those who turn.
+        # Cycle paths and footpaths cross the roads, and lines guide vehicles that turn.
         place = (rng.uniform(-0.7, 0.7) * other_m, rng.uniform(-0.7, 0.7) * width_m)
         turn_rad = canvas.either(0, math.pi / 2, rng.uniform(0, math.pi))
         mark_guides(canvas, place, turn_rad, canvas.either(first, second, junction))

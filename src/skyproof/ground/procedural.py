@@ -88,8 +88,8 @@ def photograph(
     openness = 1 - 0.45 * np.clip((around - canvas.height) / 3.0, 0, 1)
     direct, lit = sunlight(canvas)
     light = sun * direct[..., None] * _SUN_COLOUR + sky * openness[..., None]
-    # Blur and saturation come before the cut and the tone curve: optics act on light, and
-    # there is no border to pad.
+    # The blur comes before the crop, so that no border is padded, and before the tone curve, as
+    # does the saturation, because optics act on light.
     picture = np.clip(canvas.reflectance, 0.004, 0.95) * light * np.float32(sensor.exposure)
     for channel in range(3):
         ndimage.gaussian_filter(picture[..., channel], sensor.blur_px, output=picture[..., channel])
@@ -110,8 +110,8 @@ def photograph(
 
 
 def sunlight(canvas: Canvas) -> tuple[Array, Array]:
-    """Returns the share of the direct sun on each pixel, and the share that shadows leave."""
-    # Shadows, by walking towards the sun: the height a ray to the sun has to pass.
+    """Returns each pixel's share of the direct sun (shadow and slope), and that by shadow alone."""
+    # Shadows: steps towards the sun find the height above which a ray to the sun is free.
     tangent = math.tan(canvas.sun_elevation_rad)
     step_x = math.cos(canvas.sun_azimuth_rad)
     step_y = -math.sin(canvas.sun_azimuth_rad)
@@ -132,7 +132,7 @@ def sunlight(canvas: Canvas) -> tuple[Array, Array]:
 
     # Slopes that face the sun are brighter.
     gradient_y, gradient_x = np.gradient(ndimage.gaussian_filter(height, 0.6), canvas.gsd_m)
-    # A wall is no slope: beyond 60 degrees the roof above and the ground below are level.
+    # Beyond 60 degrees there is a wall and no slope: the roof above it and the ground are level.
     level = np.hypot(gradient_x, gradient_y) > 1.8
     gradient_x[level], gradient_y[level] = 0, 0
     towards_sun = gradient_x * step_x + gradient_y * step_y

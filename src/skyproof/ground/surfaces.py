@@ -29,7 +29,7 @@ def mark_lanes(canvas: Canvas, road: Patch, width_m: float, lanes: int) -> None:
         if style != "none":
             mark(canvas, line, _dashed(line, *dashes_m) if style == "dashed" else 1.0)
     if rng.random() < 0.45:
-        # The edge of some roads is a cycle lane's, and dashed.
+        # Some edge lines are those of cycle lanes, and some are dashed.
         inset_m = 0.35 if rng.random() < 0.6 else rng.uniform(1.5, 2.4)
         dashes_m = _dashes(rng) if rng.random() < 0.4 else (1.0, 0.0)
         for side in (-1, 1):
@@ -50,7 +50,7 @@ def mark_guides(canvas: Canvas, place: Place, angle_rad: float, crossed: Patch) 
 
 
 def mark_bays(canvas: Canvas, road: Patch, width_m: float) -> None:
-    """Marks a row of bays for parking along one kerb of a road, or the lines between them alone."""
+    """Marks parking bays along one kerb of a road, sometimes with only the corners of the edge."""
     rng = canvas.rng
     side = canvas.either(-1, 1)
     deep_m = rng.uniform(1.9, 2.4)
@@ -172,7 +172,7 @@ def lay_paving(
 def add_pavement(
     canvas: Canvas, ground: Patch, centre_v_m: float, road_m: float, pavement_m: float
 ) -> None:
-    """Adds pavements on both sides of a road still to be laid, with its kerbs."""
+    """Adds pavements and kerbs on both sides of a road, which is laid afterwards."""
     lay_paving(canvas, canvas.band(ground, centre_v_m, road_m + 2 * pavement_m))
     canvas.paint(canvas.band(ground, centre_v_m, road_m + 0.3), canvas.pick(_KERBS))
 
@@ -186,7 +186,7 @@ def add_road(
     colour: Array | None = None,
     kerbed: bool = True,
 ) -> None:
-    """Adds a road along u with wheel tracks, lane lines and covers, ragged without kerbs."""
+    """Adds a road along u with wheel tracks, lane lines and manholes, ragged if not kerbed."""
     rng = canvas.rng
     road = canvas.band(ground, centre_v_m, width_m, 0.0 if kerbed else 0.15)
     lay_asphalt(canvas, road, colour)

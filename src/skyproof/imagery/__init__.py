@@ -1,1 +1,1 @@
-"""Real imagery is read, cut into tiles and cleared of vehicles. Labels of all forms are read."""
+"""Reads imagery, cuts it into tiles and removes their vehicles. Also reads labels of all forms."""

@@ -39,17 +39,17 @@ DIRECTION_WITHIN_M = 3.0
 LEAST_AGREEMENT = 0.35
 """From 0 (edges in all directions) to 1: below it, half of the directions were off by over 10°."""
 ALONGSIDE_M = 6.0
-"""Vehicles up to so far apart stand alike: 98 % within 10°, up to 8 m 82 %, beyond half of them."""
+"""Vehicles this close stand alike: 98 % are within 10°, but 82 % up to 8 m, and half beyond."""
 
 
 def drivable_directions(
     image: Pixels, gsd_m: float, vehicles: Boxes | None = None, stood: Sequence[RemovedVehicle] = ()
 ) -> UInt8[np.ndarray, "H W"]:
-    """Makes a tile's map of drivable ground (`skyproof.scenes.directions`) from its picture.
+    """Returns a tile's map of drivable ground (`skyproof.scenes.directions`), found in its picture.
 
     Drivable ground is plain (without dark texture or steps, except painted lines) and wide enough.
-    Without labels (None) it is also grey. With boxes of labelled vehicles it has a colour as beside
-    one of them, and connects with the place of one. The heading is that of a vehicle that stood
+    Without labels (None) it is also grey. With boxes of labelled vehicles it has the colour of the
+    ground beside one of them, and is connected to one. The heading is that of a vehicle that stood
     within 6 m, or else the direction of least change by the structure tensor of the picture. Ground
     without a sure heading is left out. Limits: docs/imagery.md.
     """
@@ -143,7 +143,7 @@ def _around(size: tuple[int, ...], boxes: _Grid, margin: float) -> _Mask:
 def _alongside(
     heading_rad: _Grid, sure: _Mask, stood: Sequence[RemovedVehicle], cell_px: int, cell_m: float
 ) -> tuple[_Grid, _Mask]:
-    """Gives cells near vehicles the heading of the nearest one."""
+    """Sets the heading of cells near vehicles to that of the nearest vehicle."""
     rows, columns = np.indices(sure.shape) + 0.5
     nearest_m = np.full(sure.shape, ALONGSIDE_M)
     for one in stood:
@@ -163,7 +163,7 @@ def _heading_rad(grey: _Grid, cell_m: float) -> tuple[_Grid, _Mask]:
     right = ndimage.gaussian_filter(grey, 1, order=(0, 1))
     down = ndimage.gaussian_filter(grey, 1, order=(1, 0))
     # Weak edges count in proportion to their strength, and strong ones almost equally, so that a
-    # tree's rim does not drown the kerb.
+    # tree's rim does not outweigh the kerb.
     strength = np.hypot(right, down)
     weight = 1 / ((strength + 1e-6) * (1 + 50 * strength))
     reach = DIRECTION_WITHIN_M / cell_m

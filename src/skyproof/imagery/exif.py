@@ -1,4 +1,4 @@
-"""Reads what a photograph says of its time, its place and its resolution."""
+"""Reads the time, place and resolution that a photograph states."""
 
 import math
 import re
@@ -23,7 +23,7 @@ class Exif:
     Attributes:
         taken: date and time of the camera's clock, whose zone is not known.
         place: longitude and latitude of the camera in degrees.
-        gsd_m: metres per pixel by focal length and height above the start, on flat ground.
+        gsd_m: metres per pixel by focal length and height above the take-off point, on flat ground.
     """
 
     taken: datetime | None = None
@@ -32,14 +32,14 @@ class Exif:
 
 
 def read_exif(dataset: DatasetReader) -> Exif:
-    """Reads EXIF data as GDAL gives them; what is damaged is not stated."""
+    """Reads EXIF data as GDAL returns them; damaged values count as not stated."""
     tags = dataset.tags()
     xmp = "".join(dataset.tags(ns="xml:XMP").values())
     return Exif(_taken(tags), _place(tags), _gsd_m(tags, xmp, dataset.width, dataset.height))
 
 
 def exif_words(photographs: Sequence[Exif]) -> Iterator[str]:
-    """Tells time and place of photographs in at most one sentence."""
+    """Yields at most one sentence, on the times and places of photographs."""
     times = sorted(one.taken for one in photographs if one.taken)
     places = [one.place for one in photographs if one.place]
     told = []
@@ -80,10 +80,10 @@ def _gsd_m(tags: Mapping[str, str], xmp: str, width_px: int, height_px: int) -> 
     height_m = _stated(xmp, "RelativeAltitude")
     pitch_deg = _stated(xmp, "GimbalPitchDegree")
     focal_mm = float((_NUMBER.findall(tags.get("EXIF_FocalLengthIn35mmFilm", "")) or ["0"])[0])
-    # The focal length is that of the whole picture, seen from above.
+    # The formula holds only for a whole picture that was taken straight down.
     whole = tags.get("EXIF_PixelXDimension") in (str(width_px), str(height_px))
-    level = pitch_deg is not None and pitch_deg > _NADIR_DEG
-    if height_m is None or height_m <= 0 or focal_mm <= 0 or level or not whole:
+    oblique = pitch_deg is not None and pitch_deg > _NADIR_DEG
+    if height_m is None or height_m <= 0 or focal_mm <= 0 or oblique or not whole:
         return None
     return height_m * _FILM_DIAGONAL_MM / focal_mm / math.hypot(width_px, height_px)
 

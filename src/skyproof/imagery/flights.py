@@ -16,8 +16,8 @@ LONGEST_PAUSE = timedelta(hours=1)
 def flights_of(sources: Sequence[Source]) -> list[str]:
     """Names the flight of each source by its first photograph.
 
-    A flight's photographs lie in one folder and one reference system, their names differ in their
-    last number alone, and none that states its time was taken over an hour after the one before.
+    A flight's photographs have one folder and one reference system, and their names differ only in
+    the last number. None was taken over an hour after the one before, as far as times are stated.
     """
     series: dict[tuple[Path, str, str], list[Source]] = defaultdict(list)
     for one in sources:

@@ -44,7 +44,7 @@ class FramePicture:
     size_px: tuple[int, int]
 
     def read(self) -> Pixels:
-        # Pillow widens its kernel when it shrinks.
+        # Pillow widens its kernel when it shrinks an image, so there is no aliasing.
         return tensor_of(self._decoded().resize(self.size_px, Image.Resampling.BICUBIC))
 
     def windows(self, windows: Sequence[Window]) -> Iterator[UInt8[Tensor, "3 _h _w"]]:
@@ -73,9 +73,9 @@ def read_frames_folder(
 ) -> Dataset:
     """Reads images of 8 bits with labels in pixels, of any form that has images.
 
-    Images lie in `folder`, its `images` or `JPEGImages`, and labels there unless a path is given.
-    They are resampled to `target_gsd_m`. Classes that are not named become ignore regions, as does
-    a border of `border_px` source pixels.
+    Images lie in `folder`, its `images` or `JPEGImages`; labels lie in `folder` unless a path
+    is given. Images are resampled to `target_gsd_m`. Objects of classes that are not named
+    become ignore regions, as does a border of `border_px` source pixels.
 
     Raises:
         ImageryError: there are no images, or one is damaged or has no labels; the labels lack a

@@ -1,4 +1,4 @@
-"""Notes on imagery, which tell assumptions, repairs and omissions."""
+"""Notes on imagery, which state assumptions, repairs and omissions."""
 
 
 class ImageNote(str):

@@ -58,7 +58,7 @@ _WEIGHT_OF_BRIGHTEST = 0.8
 _LEAST_WHITE, _LARGEST_WHITE = 0.3, 4.0
 # Pixels nearer to a vehicle's middle do not count as ground.
 _VEHICLE_M = 3.5
-# What clips at this brightness has no place for a brighter white.
+# White may lie above the brightest value only if the ground itself reaches this brightness.
 _CLIPPED = 0.955
 # Brightness of a surface in deep shadow as a share of white.
 _DEEPEST = 0.01
@@ -166,9 +166,9 @@ def measure_exposure(grounds: Iterable[UInt8[Tensor, "P 3"]]) -> Light:
     """Measures white, black and white balance from `ground_pixels` of tiles of one flight.
 
     White comes from the brightest thousandth of the ground and from its median, its colour from
-    nearly grey ground, and black from the darkest 0.2 % of each channel. Only where the ground
-    itself burns out does white, too: cameras are exposed for the brightest of what they see.
-    Ground of one kind, such as snow, misleads it, and a tint of more than a tenth is found in part.
+    nearly grey ground, and black from the darkest 0.2 % of each channel. White burns out only if
+    the ground itself does, because cameras are exposed for the brightest parts that they see.
+    Ground of one kind, such as snow, misleads this, and a tint over a tenth is found only in part.
     """
     pixels = np.concatenate([np.zeros((0, 3), np.uint8), *(each.numpy() for each in grounds)])
     if len(pixels) < FEWEST_PIXELS // STRIDE_PX**2 or pixels.max() - pixels.min() < STRIDE_PX:
@@ -200,7 +200,7 @@ def lit_tiles(
     vehicles_px: Mapping[str, Float[Tensor, "n 2"]],
     notes: list[str],
 ) -> list[BackgroundTile]:
-    """Measures how each flight shows light, and gives it with the tile's sun to its tiles."""
+    """Returns the tiles with the light that was measured on their flights, and with their suns."""
     backgrounds = BackgroundSet(folder, gsd_m, tiles)
     lights: dict[str, Light] = {}
     whites: list[float] = []
@@ -243,7 +243,7 @@ def exposure_of(
 
 
 def sun_over(cell: Cell, taken: datetime) -> SunEstimate:
-    """Computes the place of the sun over a cell, in the cell's axes, without refraction."""
+    """Computes the position of the sun over a cell, in the cell's axes, without refraction."""
     left, bottom, right, top = cell.extent
     middle = ((left + right) / 2, (bottom + top) / 2)
     above = (middle[0], middle[1] + 100.0)

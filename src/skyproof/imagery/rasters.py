@@ -1,4 +1,4 @@
-"""Opens rasters with GDAL: known formats, stated limits, nothing from elsewhere.
+"""Opens rasters with GDAL: only known formats, within limits, and no files from elsewhere.
 
 A VRT can name files and addresses, and hold code. Only mosaics of images in its own folder are
 read.
@@ -84,8 +84,8 @@ def open_raster(path: Path) -> DatasetReader:
 def orientation_of(dataset: DatasetReader, path: Path) -> int:
     """Returns the EXIF orientation of a picture, 1 (upright) to 8.
 
-    GDAL reads pixels as they are stored, and a place on the map speaks of these, so that an
-    orientation counts only without one.
+    GDAL reads pixels as they are stored, and a place on the map refers to these, so the orientation
+    counts only for an image without such a place.
     """
     if dataset.driver == "VRT" or not dataset.transform.is_identity or dataset.gcps[0]:
         return 1
@@ -98,7 +98,7 @@ def orientation_of(dataset: DatasetReader, path: Path) -> int:
 
 
 def is_faster_whole(dataset: DatasetReader) -> bool:
-    """Tells whether reading a whole image takes less time than a part or a smaller version of it.
+    """Returns whether an image is read faster as a whole than in part or at a smaller size.
 
     GDAL decodes a whole PNG twice as fast, but then misses that the file was cut off, so that the
     end of the file is checked here.
@@ -111,7 +111,7 @@ def is_faster_whole(dataset: DatasetReader) -> bool:
 
 
 def stored_to_upright(orientation: int, width_px: int, height_px: int) -> Affine:
-    """Takes stored pixels (column, row) to those of the upright picture, whose size is given."""
+    """Returns the transform from stored pixels (column, row) to an upright picture of this size."""
     mirrors_x, mirrors_y = orientation in (2, 3, 6, 7), orientation in (3, 4, 7, 8)
     across = Affine(-1, 0, width_px, 0, 1, 0) if mirrors_x else Affine.identity()
     down = Affine(1, 0, 0, 0, -1, height_px) if mirrors_y else Affine.identity()
@@ -137,7 +137,7 @@ def _driver(path: Path) -> str:
 def _limited(dataset: DatasetReader, path: Path) -> DatasetReader:
     """Closes and refuses a raster that is too large, or keeps overviews elsewhere."""
     with suppress(CPLE_BaseError):
-        # Damaged EXIF data, which are worth nothing, are an error when GDAL first reads them.
+        # GDAL fails when it first reads damaged EXIF data, which can be ignored.
         _ = dataset.colorinterp
     try:
         if dataset.width * dataset.height > LARGEST_RASTER_PX:
@@ -210,7 +210,7 @@ def _elements(path: Path) -> list[ElementTree.Element]:
 
 
 def parsed_xml(text: str) -> ElementTree.Element:
-    """Parses XML of others, and refuses entities, which may grow, or name files and addresses.
+    """Parses untrusted XML; refuses entities, which may grow hugely or name files and addresses.
 
     Raises:
         ParseError, ValueError: it is no XML, or defines entities.

@@ -23,7 +23,7 @@ _TileSide = Annotated[int, Meta(ge=1, le=8192)]
 
 
 def names_a_system(text: object) -> bool:
-    """Tells a code, PROJ text or WKT from an address or a path, which GDAL would open."""
+    """Returns whether a text is a code, PROJ text or WKT; GDAL would open an address or path."""
     return isinstance(text, str) and _SYSTEM.fullmatch(text) is not None
 
 
@@ -98,7 +98,7 @@ class SourceSettings:
                 f"{self.taken.year}."
             )
         if self.crs is not None:
-            # Loaded only for a named system: it takes a second.
+            # Imported only for a named system, because the import takes a second.
             from rasterio.crs import CRS
             from rasterio.errors import RasterioError
 

@@ -70,7 +70,7 @@ def light_words(record: dict[str, Any]) -> Iterator[str]:
 
 
 def warnings(totals: dict[str, Any], vehicles_from: list[str]) -> list[str]:
-    """Returns sentences about signs that ground was filled in place of vehicles."""
+    """Returns a sentence on each sign that plain ground was taken for vehicles and filled."""
     sentences = []
     labelled, detected = totals["labelled_removed"], totals["detected_removed"]
     if "labels" in vehicles_from and detected > _MANY_MORE * max(labelled, 1):
@@ -119,7 +119,7 @@ def tiling_words(
 
 
 def merged_notes(notes: Sequence[str]) -> list[str]:
-    """Tells a few kinds of notes, equal ones on several images once; tiling.json holds all."""
+    """Returns the first few notes, equal ones on several images as one; tiling.json holds all."""
     images: dict[str, list[str]] = {}
     for note in notes:
         if isinstance(note, ImageNote):

@@ -33,14 +33,14 @@ class BackgroundTile:
     Attributes:
         id: unique in the set; the cluster of the bootstrap.
         source: source image, or "procedural".
-        flight: photographs that share their light; None: those of the source alone.
+        flight: name of the photographs that share their light; None if only the source does.
         offset_px: left and top edge in the grid of tiles, in pixels.
         kind: content of a procedural tile.
         sensor, light: those of this tile, if they are not the set's.
         removed: vehicles that stood on it before it was cleared.
         drivable: map of places for vehicles (`skyproof.scenes.directions`).
-        shade: map of shadows, which take v / 255 of the direct sun from the ground.
-        cover: map of crowns, roofs and other cover, v / 255 of each pixel.
+        shade: map of shadows; at a value of v they block v / 255 of the direct sun.
+        cover: map of crowns, roofs and other cover; at a value of v they cover v / 255 of a pixel.
     """
 
     id: Name
@@ -96,7 +96,7 @@ class BackgroundIndex:
 
 
 def read_index(folder: Path) -> BackgroundIndex:
-    """Reads the index of a background set; StoredFileError for an impossible one."""
+    """Reads the index of a background set; an invalid one raises StoredFileError."""
     path = folder / _INDEX
     index: BackgroundIndex = read_document(path, BackgroundIndex, REMEDY)
     for tile in index.tiles:
@@ -118,7 +118,7 @@ def save_map(
     tile_id: str,
     values: UInt8[np.ndarray, "H W"],
 ) -> str | None:
-    """Writes one of a tile's maps, returns its file, or None if it is all 0."""
+    """Writes one of a tile's maps and returns its file; a map of zeros is not written (None)."""
     if not values.any():
         return None
     file = f"{kind}/{tile_id}.png"

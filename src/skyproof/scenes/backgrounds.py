@@ -40,7 +40,7 @@ class BackgroundSet:
         self.light = light or Light()
         self._tiles = {tile.id: tile for tile in tiles}
         self._decoded: OrderedDict[str, UInt8[Tensor, ...]] = OrderedDict()
-        # Several threads may draw on one set.
+        # Several threads may read one set.
         self._decoding = Lock()
 
     @classmethod
@@ -59,7 +59,7 @@ class BackgroundSet:
         return [tile for split in SPLITS for tile in self.tiles(split)]
 
     def tile(self, tile_id: str) -> BackgroundTile:
-        """The tile with that id; StoredFileError without one."""
+        """Returns the tile with this id; raises StoredFileError if there is none."""
         if tile_id not in self._tiles:
             raise StoredFileError(
                 f"{self.folder} has no tile {tile_id!r}; give the background set that the scenes "
@@ -76,12 +76,12 @@ class BackgroundSet:
         return self.tile(window.tile).light or self.light
 
     def pixels(self, tile_id: str) -> UInt8[Tensor, "3 H W"]:
-        """A whole tile, sRGB bytes; StoredFileError if its file is missing or damaged."""
+        """Returns a tile in sRGB bytes; StoredFileError if its file is missing or damaged."""
         tile = self.tile(tile_id)
         return self._kept(tile.file, lambda: self._decode(tile, tile.file))
 
     def directions(self, tile_id: str) -> UInt8[Tensor, "H W"] | None:
-        """A tile's map of drivable ground, see `skyproof.scenes.directions`; or None."""
+        """Returns a tile's map of drivable ground (`skyproof.scenes.directions`), if it has one."""
         file = self.tile(tile_id).drivable
         directions = self._map(tile_id, file)
         if directions is not None and int(directions.max()) > DIRECTIONS:
@@ -92,11 +92,11 @@ class BackgroundSet:
         return directions
 
     def shade(self, tile_id: str) -> UInt8[Tensor, "H W"] | None:
-        """A tile's map of shadows, see `BackgroundTile.shade`; or None."""
+        """Returns a tile's map of shadows (`BackgroundTile.shade`), if it has one."""
         return self._map(tile_id, self.tile(tile_id).shade)
 
     def cover(self, tile_id: str) -> UInt8[Tensor, "H W"] | None:
-        """A tile's map of cover, see `BackgroundTile.cover`; or None."""
+        """Returns a tile's map of cover (`BackgroundTile.cover`), if it has one."""
         return self._map(tile_id, self.tile(tile_id).cover)
 
     def _map(self, tile_id: str, file: str | None) -> UInt8[Tensor, "H W"] | None:
@@ -105,7 +105,7 @@ class BackgroundSet:
         return self._kept(file, lambda: self._decode(self.tile(tile_id), file)[0].clone())
 
     def _kept(self, file: str, decode: Callable[[], Tensor]) -> Tensor:
-        """Gives the decoded content of a file, kept while memory allows."""
+        """Returns the decoded content of a file, which is kept while memory allows."""
         with self._decoding:
             if file not in self._decoded:
                 self._decoded[file] = decode()
@@ -124,14 +124,14 @@ class BackgroundSet:
     def window(self, window: BackgroundWindow, size_px: int) -> Float[Tensor, "3 size_px size_px"]:
         """Cuts a square window, sRGB in [0, 1]: an exact copy on whole pixels, else bilinear.
 
-        A window that reaches out of its tile is a StoredFileError.
+        A window that extends beyond its tile raises StoredFileError.
         """
         return self._cut(self.pixels(window.tile), window, size_px)
 
     def cover_of(
         self, window: BackgroundWindow, size_px: int
     ) -> Float[Tensor, "size_px size_px"] | None:
-        """Cuts the map of cover as `window` cuts the photograph, in [0, 1]; or None."""
+        """Cuts the map of cover, in [0, 1], as `window` cuts the photograph; None without a map."""
         cover = self.cover(window.tile)
         return None if cover is None else self._cut(cover[None], window, size_px)[0]
 
@@ -177,7 +177,7 @@ class BackgroundSet:
     def sample_pixels(
         self, split: str, per_tile: int, *, generator: torch.Generator
     ) -> Float[Tensor, "P 3"]:
-        """Random pixels of a split, as many from each of its tiles, sRGB in [0, 1]."""
+        """Draws the same number of pixels from each tile of a split, sRGB in [0, 1]."""
         drawn = []
         for tile in self.tiles(split):
             flat = self.pixels(tile.id).flatten(1)
@@ -187,7 +187,7 @@ class BackgroundSet:
     def sample_window(
         self, split: str, size_px: int, *, generator: torch.Generator
     ) -> BackgroundWindow:
-        """Draws a uniform tile of the split, rotation, and place with the window fully inside."""
+        """Draws a tile of the split uniformly, and a window that lies fully inside it."""
         tiles = self.window_tiles(split, size_px)
         tile = tiles[int(torch.randint(len(tiles), (1,), generator=generator))]
         return self.sample_window_on(tile, size_px, generator=generator)
@@ -208,7 +208,7 @@ class BackgroundSet:
     ) -> BackgroundWindow:
         """Draws a place on a tile, and a rotation at which the window fits there.
 
-        Without any room to turn, the rotation is by quarters and the place on whole pixels.
+        If there is no room to turn, the rotation is in quarter turns and the place on whole pixels.
         """
         turn, x, y = torch.rand(3, dtype=torch.float64, generator=generator).tolist()
         room_rad = room_to_turn_rad(size_px, min(tile.width_px, tile.height_px))
@@ -230,7 +230,7 @@ class BackgroundSet:
 def on_tile(
     window: BackgroundWindow, east_px: Float[Tensor, "*S"], north_px: Float[Tensor, "*S"]
 ) -> tuple[Float[Tensor, "*S"], Float[Tensor, "*S"]]:
-    """Returns column and row on the tile of points of a scene, in pixels from its middle."""
+    """Returns column and row on the tile of points given in pixels from the middle of a scene."""
     cosine, sine = math.cos(window.rotation_rad), math.sin(window.rotation_rad)
     column = window.centre_x_px + cosine * east_px - sine * north_px
     row = window.centre_y_px - sine * east_px - cosine * north_px
@@ -238,10 +238,10 @@ def on_tile(
 
 
 def room_to_turn_rad(size_px: int, side_px: int) -> float:
-    """How far a window can turn either way from the sides of a square tile that holds it.
+    """Returns how far a window can turn either way from the sides of a square tile that holds it.
 
-    It is 0 without room, and pi / 4 where every rotation fits. A window that is turned by a up to
-    pi / 4 reaches over size (cos a + sin a) = size sqrt(2) cos(pi / 4 - a) pixels.
+    The angle is 0 if there is no room, and pi / 4 if every rotation fits. A window that is turned
+    by a <= pi / 4 spans size (cos a + sin a) = size sqrt(2) cos(pi / 4 - a) pixels.
     """
     if side_px <= size_px:
         return 0.0

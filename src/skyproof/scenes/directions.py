@@ -1,7 +1,7 @@
 """Maps of drivable ground: places for a vehicle's middle on a tile, and the heading there.
 
-A pixel of 0 is no place for a vehicle; v > 0 is one, heading v - 1 degrees from the tile's x axis
-(right) towards up, modulo 180: nose and tail are not distinguished.
+A pixel of 0 is no place for a vehicle. A pixel of v > 0 is one, with a heading of v - 1 degrees
+from the tile's x axis (right) towards up, modulo 180: nose and tail are not distinguished.
 """
 
 import math
@@ -15,13 +15,13 @@ from scipy import ndimage
 _Grid = NDArray[np.floating[Any]]
 
 HALF_WIDTH_M = 1.25
-"""Radius of the room around a vehicle's middle, and around two points of its long axis"""
+"""Radius of three free discs: around a vehicle's middle and around two points of its long axis."""
 REACH_M = 1.4
-"""so far from there: together they hold a car of 4.5 m x 1.7 m with corners."""
+"""Distance of these two points from the middle: the discs hold a whole car of 4.5 m x 1.7 m."""
 
 
 def direction_values(heading_rad: _Grid) -> "UInt8[np.ndarray, ...]":
-    """Gives the map's values for headings."""
+    """Returns the map's values for headings."""
     degrees = np.round(np.degrees(np.mod(heading_rad, math.pi))).astype(np.int64) % 180
     return (degrees + 1).astype(np.uint8)
 

@@ -10,7 +10,7 @@ from skyproof.ranges import Fraction, Radians, check_ranges
 from skyproof.scenes.scene import Sun, SunElevation
 
 CLEAR_SKY = (0.206, 0.253, 0.351)
-"""A quarter of the light on level ground, in a clear sky's colour, linear sRGB.
+"""The sky's share of the light on level ground: a quarter, in a clear sky's colour, linear sRGB.
 
 The diffuse share of the global irradiance is 0.15 to 0.3 under a clear sky (Iqbal 1983). The colour
 is that of daylight of 10,000 K on the CIE daylight locus (CIE 15), where white is the whole
@@ -23,7 +23,7 @@ _Deviation = Annotated[float, Meta(ge=0, le=3.2)]
 
 @dataclass(frozen=True)
 class SunEstimate:
-    """The sun's place in the tile's axes, from x (right) towards y (up), with its errors."""
+    """The sun's position in the tile's axes, from x (right) towards y (up), with its errors."""
 
     azimuth_rad: Radians
     elevation_rad: SunElevation
@@ -47,12 +47,12 @@ class Light:
 
     Attributes:
         white: value of a white matt surface in the open sun; above 1 it burns out.
-        black: value of a surface that sends no light: haze, stray light, raised blacks.
-        shoulder: brightness from which the picture bends towards its brightest value instead of
+        black: value of a surface that reflects no light: haze, stray light, raised blacks.
+        shoulder: brightness from which the tone curve bends towards its highest value instead of
             clipping, as in most cameras; 1 is plain clipping.
         sky: the sky's share of the light on open ground, which remains in a wide shadow; 1 is an
             overcast sky without any sun.
-        sun: place of the sun; None if not known.
+        sun: position of the sun; None if not known.
     """
 
     white: tuple[_Level, _Level, _Level] = (1.0, 1.0, 1.0)

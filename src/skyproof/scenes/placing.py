@@ -1,4 +1,4 @@
-"""Places vehicles as in the photograph: on places of removed ones, or on drivable ground."""
+"""Places vehicles as in the photograph: where vehicles were removed, or on drivable ground."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -19,7 +19,7 @@ SHIFT_M = 0.3
 TURN_RAD = math.radians(3)
 """Standard deviations of a vehicle's place and heading around the given ones."""
 NEAR_LENGTH_SHARE = 1 / 3
-"""Number of vehicles nearest in length to a removed one; one of them takes its place."""
+"""Share of the vehicles, nearest in length to a removed one, from which its successor is drawn."""
 
 _TILES_TRIED = 60
 _WINDOWS_TRIED = 20
@@ -67,8 +67,8 @@ class SceneDraw:
 def place_vehicles(draw: SceneDraw) -> tuple[BackgroundWindow, tuple[Placement, ...]]:
     """Draws a window and vehicles at places on its ground; none overlap.
 
-    The tile is uniform among those with places, the window among those with room for the fewest
-    vehicles (at least one). A random subset of a window's places is taken.
+    The tile is drawn uniformly from those with places, and the window from those with room for the
+    smallest number of vehicles (at least one). Vehicles take a random subset of its places.
     """
     settings, backgrounds, generator = draw.settings, draw.backgrounds, draw.generator
     number = draw.number()
@@ -116,7 +116,7 @@ def known_places(tile: BackgroundTile) -> list[RemovedVehicle]:
 
 
 def _removed_places(tile: BackgroundTile, window: BackgroundWindow, gsd_m: float) -> list[Place]:
-    """Gives the places of a tile's removed vehicles in a window's axes; they may lie outside it."""
+    """Returns the places of removed vehicles in a window's axes; some may lie outside of it."""
     cosine, sine = math.cos(window.rotation_rad), math.sin(window.rotation_rad)
     places = []
     for one in known_places(tile):
@@ -129,7 +129,7 @@ def _removed_places(tile: BackgroundTile, window: BackgroundWindow, gsd_m: float
 
 
 def _drivable_places(draw: SceneDraw, window: BackgroundWindow) -> list[Place]:
-    """Draws 1,024 points, and gives the first 64 on drivable ground."""
+    """Draws 1,024 points, and returns the first 64 on drivable ground."""
     backgrounds, half_m = draw.backgrounds, draw.half_m
     directions = backgrounds.directions(window.tile)
     points = torch.rand(_POINTS, 2, dtype=torch.float64, generator=draw.generator)

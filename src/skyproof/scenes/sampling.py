@@ -18,11 +18,11 @@ from skyproof.scenes.weather import LOW_SUN_ELEVATION_RAD, draw_weather
 TRIES = 2000
 
 _SHADED_TRIES = 8
-# Shares of a footprint in shade, or beneath a crown or roof, from which a vehicle looks so.
+# Shares of a footprint from which a vehicle counts as shaded, or as beneath a crown or roof.
 _SHADED, _COVERED = 0.5, 0.15
 
 WIDEST_GAP_M = (0.6, 1.5)
-"""Gaps of parked vehicles side by side and bumper to bumper, on top of `gap_m`; our estimate."""
+"""Widest gaps between vehicles parked side by side and in line, on top of `gap_m`; our estimate."""
 LARGEST_SKEW_RAD = math.radians(3)
 
 
@@ -36,7 +36,7 @@ def sample_scenes(
     generator: torch.Generator,
     prefix: str = "scene",
 ) -> list[Scene]:
-    """Draws scenes of uniform vehicles, backgrounds and places; none overlap.
+    """Draws scenes; by default vehicles, backgrounds and places are uniform. No vehicles overlap.
 
     Every scene takes one 63-bit seed from `generator` and draws all else from that seed.
 
@@ -58,7 +58,7 @@ def sample_scenes(
 
 def _sample_scene(name: str, seed: int, draw: SceneDraw) -> Scene:
     settings, backgrounds, generator = draw.settings, draw.backgrounds, draw.generator
-    # Without such shares nothing is drawn, so that scenes without them never change.
+    # For a share of 0 nothing is drawn, so that scenes without these shares never change.
     if settings.empty_share and draw.uniforms(1)[0] < settings.empty_share:
         settings = replace(settings, vehicles_minimum=0, vehicles_maximum=0)
         draw = replace(draw, settings=settings)
@@ -91,7 +91,7 @@ def _sample_scene(name: str, seed: int, draw: SceneDraw) -> Scene:
     known = backgrounds.light_of(window).sun
     if settings.sun == "photograph" and known is not None:
         photographed = _sun_of(known, window.rotation_rad, generator=generator)
-        # A low sun comes from the photograph's side, with longer shadows than the photograph's.
+        # A low sun has the azimuth of the photograph's sun, but casts longer shadows.
         low = condition == "low_sun"
         sun = replace(photographed, elevation_rad=sun.elevation_rad) if low else photographed
     return Scene(name, window, camera, sun, placements, seed, draw_weather(condition, strength))
@@ -114,7 +114,7 @@ def _sample_placements(draw: SceneDraw) -> tuple[Placement, ...]:
         return ()
     names = sorted(draw.sizes_m)
     chosen = [names[i] for i in torch.randint(len(names), (number,), generator=generator).tolist()]
-    # Without parked vehicles nothing is drawn, so that such scenes never change.
+    # For a share of 0 nothing is drawn, so that scenes without parked vehicles never change.
     if settings.parked_share and float(torch.rand(1, generator=generator)) < settings.parked_share:
         parked = _park(draw, chosen)
         if len(parked) >= settings.vehicles_minimum:

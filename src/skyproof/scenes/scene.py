@@ -18,13 +18,13 @@ from skyproof.ranges import Coordinate, Fraction, GroundResolution, ImageSide, N
 from skyproof.scenes.weather import CLEAR, Weather
 
 MOST_PLACEMENTS = 1000
-"""Vehicles in one scene."""
+"""Largest number of vehicles in one scene."""
 
 Tilt = Annotated[float, Meta(ge=0, le=1.5)]
-"""Radians off the vertical; near the horizon the image of a vehicle has no end."""
+"""Radians off the vertical; near the horizon the image of a vehicle grows without bound."""
 
 SunElevation = Annotated[float, Meta(ge=0.01, le=math.pi / 2)]
-"""Radians above the horizon; a shadow of a lower sun has no end."""
+"""Radians above the horizon; under a lower sun, shadows grow without bound."""
 
 _Place = Annotated[float, Meta(ge=-1e5, le=1e5)]
 
@@ -64,7 +64,7 @@ class Camera:
 
 @dataclass(frozen=True)
 class Sun:
-    """The sun's place: azimuth from x (east) towards y (north), and elevation above the horizon."""
+    """The sun's azimuth, from x (east) towards y (north), and its elevation above the horizon."""
 
     azimuth_rad: Radians
     elevation_rad: SunElevation
@@ -81,8 +81,8 @@ class Placement:
 
     Attributes:
         heading_rad: direction of its nose, from x towards y.
-        shade: share of the direct sun that the photograph's shadows take.
-        covered: share of its footprint under crowns and roofs; 0 also on top of them.
+        shade: share of the direct sun that the photograph's shadows block.
+        covered: share of its footprint under crowns and roofs; also 0 if it stands on top of them.
     """
 
     vehicle: Name
@@ -95,7 +95,7 @@ class Placement:
 
 @dataclass(frozen=True)
 class Scene:
-    """All data to render one image again, except fleet and background set; the noise has a seed."""
+    """All data to render one image again, including its noise, except fleet and background set."""
 
     id: Name
     background: BackgroundWindow
@@ -112,7 +112,7 @@ def write_scenes(path: Path, scenes: Iterable[Scene]) -> None:
 
 
 def read_scenes(path: Path) -> list[Scene]:
-    """Reads a file of `write_scenes`; StoredFileError for a missing or impossible one."""
+    """Reads a file that `write_scenes` wrote; a missing or invalid one raises StoredFileError."""
     remedy = "copy the file again, or sample the scenes again"
     scenes: list[Scene] = read_lines(path, Scene, remedy)
     if not scenes:
@@ -142,7 +142,7 @@ def _row(scene: Scene) -> dict[str, Any]:
     if scene.weather == CLEAR:
         del row["weather"]
     for placement in row["placements"]:
-        # Nor are facts that the ground does not give.
+        # Nor are shade and cover of 0, which is their value on ground that does not state them.
         for name in ("shade", "covered"):
             if not placement[name]:
                 del placement[name]

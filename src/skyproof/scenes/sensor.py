@@ -32,7 +32,7 @@ class Sensor:
 
     @property
     def blur_radius_px(self) -> int:
-        """Half of the paper's kernel size k = 6 * ceil(sigma) - 1, less the middle pixel."""
+        """Radius (k - 1) / 2 of the paper's kernel of k = 6 * ceil(sigma) - 1 pixels."""
         # A narrower kernel is one pixel, and would divide by nearly nothing.
         sharp = self.blur_sigma_px < _SHARPEST_PX
         return 0 if sharp else 3 * math.ceil(self.blur_sigma_px) - 1

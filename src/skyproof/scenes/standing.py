@@ -12,7 +12,7 @@ from skyproof.scenes.backgrounds import BackgroundSet, on_tile
 from skyproof.scenes.scene import BackgroundWindow, Placement
 
 _ALONG, _ACROSS = 9, 5
-"""Points of a vehicle's footprint that read the maps."""
+"""Numbers of points along and across a vehicle's footprint at which the maps are read."""
 
 _ON_TOP_FROM = 0.5
 
@@ -24,7 +24,7 @@ Sizes = Mapping[str, tuple[float, float, float]]
 
 
 def footprint(placement: Placement, vehicle_sizes_m: Sizes, gap_m: float) -> Rectangle:
-    """Gives the ground below a vehicle, with half of the gap to the next on every side."""
+    """Returns the ground below a vehicle, with half of the gap to its neighbours on every side."""
     length_m, width_m, _ = vehicle_sizes_m[placement.vehicle]
     return placement.x_m, placement.y_m, placement.heading_rad, length_m + gap_m, width_m + gap_m
 
@@ -59,8 +59,8 @@ def standing(
 ) -> tuple[Placement, ...]:
     """Returns vehicles with the mean shadow over their footprints, if `shadows`, and their cover.
 
-    If crowns and roofs cover less than `on_top_from` of the footprint a vehicle stands beneath
-    them, else on top, because uniform places put vehicles on anything.
+    If crowns and roofs cover less than `on_top_from` of its footprint, a vehicle stands beneath
+    them, and otherwise on top of them, because uniform places put vehicles on anything.
     """
     shade = backgrounds.shade(window.tile) if shadows else None
     cover = backgrounds.cover(window.tile)

@@ -53,7 +53,7 @@ CONDITIONS: dict[str, Callable[[float], Weather]] = {
     "clear": lambda strength: CLEAR,
     "haze": lambda strength: Weather("haze", haze=_between(0.15, 0.45, strength)),
     "rain": lambda strength: Weather("rain", wetness=_between(0.7, 1.0, strength)),
-    # Less direct light of a lower sun comes through the air.
+    # The lower the sun, the less of its direct light comes through the air.
     "low_sun": lambda strength: Weather("low_sun", overcast=_between(0.3, 0.05, strength)),
     "overcast": lambda strength: Weather("overcast", overcast=_between(0.6, 1.0, strength)),
     "exposure": _exposure,
@@ -67,7 +67,7 @@ MIXED_CONDITIONS = ("clear", "haze", "overcast", "exposure", "noise", "jpeg", "l
 
 
 def draw_weather(condition: str, strength: float) -> Weather:
-    """The weather of one of `CONDITIONS` (section S7) at a strength, drawn from [0, 1]."""
+    """Returns the weather of one of `CONDITIONS` (section S7) at a strength from 0 to 1."""
     if condition not in CONDITIONS:
         known = ", ".join(CONDITIONS)
         raise ConfigurationError(f"There is no condition {condition!r}; choose from {known}.")

@@ -1,1 +1,1 @@
-"""Vehicles on tiles are found, masked, filled with ground and checked. A person sees the result."""
+"""Finds and masks vehicles on tiles, fills in ground and checks it. A person sees the result."""

@@ -66,8 +66,8 @@ _REMEDY = "copy the whole folder again, or clear the imagery again"
 class Cleared:
     """The row of one tile in the record.
 
-    `labelled` objects include ignore regions, `detected` vehicles those that repairs removed, and
-    `remaining` ones were still found by the checker (None without one).
+    `labelled` also counts ignore regions, `detected` also the vehicles that repairs removed, and
+    `remaining` those that the checker still found (None without a checker).
     """
 
     id: str
@@ -86,7 +86,7 @@ class _Found:
     """The boxes to remove from a tile, and the vehicles on it.
 
     `vehicles` are the boxes of labelled vehicles, None where nobody labelled, and `places` are
-    where they stood. `seen` adds the detector's finds, which may be no vehicles: they help to
+    where they stood. `seen` adds the detections, which may not be vehicles: they help to
     measure shadows, and never become places.
     """
 
@@ -192,7 +192,7 @@ def clear_backgrounds(
 def _by_tile(
     clearing: _Clearing, work: Callable[[BackgroundTile], _Result], tiles: Sequence[BackgroundTile]
 ) -> AbstractContextManager[Iterator[_Result]]:
-    """Yields the results of work in order; threads do several tiles, not with black boxes."""
+    """Yields the results of `work` in order, from several threads unless there are black boxes."""
     used = [each.detector for each in (clearing.finder, clearing.checker) if each is not None]
     if not all(isinstance(each, TrainableDetector) for each in used):
         return nullcontext(map(work, tiles))
@@ -328,9 +328,9 @@ def _record(
 
 
 def reject_tiles(folder: Path, ids: Sequence[str]) -> list[str]:
-    """Removes tiles from index and annotations, and returns the splits that are empty then.
+    """Removes tiles from index and annotations, and returns the splits that this empties.
 
-    An id that is not in the index, or all of them, are a ConfigurationError.
+    An id that is not in the index, or rejecting every tile, raises ConfigurationError.
     """
     refuse_links(folder)
     backgrounds = BackgroundSet.open(folder)

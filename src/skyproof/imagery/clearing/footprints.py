@@ -1,4 +1,4 @@
-"""What pictures show where labelled vehicles stand: the ground's shade, and the vehicles' paint."""
+"""Measures the shade of the ground below labelled vehicles in pictures, and the vehicles' paint."""
 
 from collections.abc import Sequence
 
@@ -28,7 +28,7 @@ _DARKEST, _LIGHTEST = 0.0023, 0.93
 def sunlit(
     image: Pixels, places: Sequence[RemovedVehicle], gsd_m: float
 ) -> tuple[RemovedVehicle, ...]:
-    """Leaves out the places that lie in the shade on a cleared picture, where no render fits."""
+    """Returns the places outside the shade on a cleared picture, as no render fits shaded ones."""
     grounds = [_light(image, place, gsd_m, 1.0, 1.0) for place in places]
     known = [ground.mean() for ground in grounds if len(ground)]
     least = SHADED_BELOW * np.quantile(known, SUNLIT_SHARE) if known else 0.0
@@ -66,7 +66,7 @@ def worn_paints(tiles: BackgroundSet, cleared: BackgroundSet) -> Float[Tensor, "
 def _light(
     image: Pixels, place: RemovedVehicle, gsd_m: float, along: float, across: float
 ) -> NDArray[np.float64]:
-    """Gives the linear pixels of a share of a vehicle's rectangle, `[n, 3]`."""
+    """Returns the linear pixels of a share of a vehicle's rectangle, `[n, 3]`."""
     if place.heading_rad is None or place.length_m is None or place.width_m is None:
         return np.zeros((0, 3))
     reach_px = place.length_m / gsd_m

@@ -126,7 +126,7 @@ def estimate_stance(
 ) -> tuple[float, float, float] | None:
     """Estimates heading, length and width of a vehicle from an upright box around it, pixel xyxy.
 
-    It takes the heading, in steps of 2 degrees, whose rectangle fits best: the box around it must
+    The heading is the one, in steps of 2 degrees, whose rectangle fits best: the box around it must
     have the given width and height (w = l |cos| + b |sin|, less rounded corners), its sides must be
     a small vehicle's, lines in the box must run along or across it, as sides, roof and panes do,
     and the picture must have edges along its outline. Lines are exact, but only the outline tells

@@ -1,4 +1,4 @@
-"""Tells sun or clouds over a flight by where, and how sharply, its vehicles' shadows end."""
+"""Infers sun or clouds over a flight from where, and how sharply, its vehicles' shadows end."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -43,13 +43,13 @@ _BEYOND_M = 1.0
 # In shares of the ground's brightness: the faintest darkness, and the most uneven ground.
 _FAINTEST, _MOST_UNEVEN = 0.3, 0.12
 _FEWEST_STRIPS = 12
-# A normal blur takes so many standard deviations from a quarter to three quarters.
+# A Gaussian blur takes this many standard deviations from a quarter to three quarters.
 _QUARTILES = 1.349
 
 # The sun is searched in these steps.
 _TURNS_RAD = np.radians(np.arange(0, 360, 5))
 _LENGTHS_M = np.arange(0.1, 4.0, 0.1)
-# Under the outline, and at most: what lies farther off says no more.
+# Where the darkness on a side without a shadow ends, and the largest miss that counts.
 _NO_SHADOW_M, _LARGEST_MISS_M = 0.1, 0.6
 _RESAMPLES = 60
 _LARGEST_SD_RAD = math.radians(30)
@@ -76,7 +76,7 @@ def measured_lights(
             tile.id: torch.tensor([(o.x_px, o.y_px) for o in vehicles[tile.id]]).reshape(-1, 2)
             for tile in of_flight
         }
-        # A flight may be too plain, as it was when it was cut.
+        # A flight may be too plain to measure, as it was when its tiles were cut.
         with suppress(ImageryError):
             found = exposure_of(backgrounds, of_flight, middles_px)
             change = {"white": found.white, "black": found.black}
@@ -165,7 +165,7 @@ def _edge(brightness: Array) -> tuple[float, float] | None:
     share = brightness / level
     darkest = int(np.argmin(np.nan_to_num(share[_OUTWARD_M < _DARKEST_WITHIN_M], nan=1.0)))
     depth = 1 - share[darkest]
-    # Of a strip that never gets so bright, the end is the strip's.
+    # If a strip never gets so bright, its darkness ends where the strip does.
     bright = (np.append(share[darkest:] > 1 - part * depth, True) for part in (0.75, 0.25))
     begins, ends = (darkest + int(true.argmax()) for true in bright)
     beyond = share[ends : ends + round(_BEYOND_M / _STEP_M)]
@@ -176,10 +176,10 @@ def _edge(brightness: Array) -> tuple[float, float] | None:
 
 
 def casts_hard_shadows(edges: Array, *, blur_m: float) -> bool | None:
-    """Tells whether the median of the `shadow_edges` is sharp; None if they cannot tell.
+    """Returns whether the median of the `shadow_edges` is sharp, or None if that is unknown.
 
-    The blur, a standard deviation, is the photograph's own. Too few vehicles cannot tell, nor can
-    a photograph that blurs every edge as much as clouds do.
+    The blur, a standard deviation, is the photograph's own. Too few vehicles leave it unknown, as
+    does a photograph that blurs every edge as much as clouds do.
     """
     own_m = _QUARTILES * blur_m
     if len(edges) < _FEWEST_STRIPS or len({*edges[:, 0]}) < FEWEST_VEHICLES or own_m > HARD_M:
@@ -188,11 +188,11 @@ def casts_hard_shadows(edges: Array, *, blur_m: float) -> bool | None:
 
 
 def estimate_sun(edges: Array) -> SunEstimate | None:
-    """Estimates the place of the sun from the `shadow_edges` of vehicles.
+    """Estimates the position of the sun from the `shadow_edges` of vehicles.
 
     A shadow ends farther from the sides that turn away from the sun, by the cosine of the turn and
-    the cotangent of the elevation. It is None if the azimuth is uncertain by 30 degrees (bootstrap
-    over vehicles).
+    the cotangent of the elevation. Returns None if the azimuth is uncertain by over 30 degrees
+    (bootstrap over vehicles).
     """
     vehicles, of_vehicle = np.unique(edges[:, 0], return_inverse=True)
     if len(vehicles) < FEWEST_VEHICLES:

@@ -141,7 +141,7 @@ def _shadow_side(stacked: Array) -> tuple[tuple[float, float], Array, float]:
 
 
 def _median_of(values: Array) -> Array:
-    """Takes the median over the first axis, without nan; 0 for nan alone."""
+    """Returns the median over the first axis, ignoring nan; 0 if all values are nan."""
     return np.ma.median(np.ma.masked_invalid(values), axis=0).filled(0.0)
 
 

@@ -1,1 +1,1 @@
-"""Labels of other tools are read. They lie in pixels of images, or on the ground."""
+"""Reads labels that other tools wrote. They are in pixels of images, or on the ground."""

@@ -46,11 +46,11 @@ def name_classes(
 ) -> tuple[list[str], str, tuple[str, ...]]:
     """Returns the class name of every object, their field, and a note on every guess.
 
-    The name is empty where the field is. There is no field if every object counts as a vehicle.
+    A name is empty if the field is. There is no field if every object counts as a vehicle.
 
-    The field is the one that the wanted classes name; else a usual one, or else one of text, that
-    holds all wanted classes. Without any wanted it is a usual one that differs among objects, or
-    else any usual one.
+    The field is the one that the wanted classes name; else a usual field, or else one of text, that
+    holds all wanted classes. Without wanted classes it is a usual field that differs among objects,
+    or else any usual field.
 
     Raises:
         ImageryError: several fields may be meant, the one that the wanted classes name is missing,

@@ -77,7 +77,7 @@ def read_coco_labels(path: Path) -> ImageLabels:
     images = LabelledImages(path, "left, top, width, height in pixels")
     names: dict[float | str, str] = {}
     for image in document.images:
-        # Only the name of a path counts: no file is opened by it.
+        # Only the name in a path is used; no file is opened.
         names[image.id] = PureWindowsPath(image.file_name).stem
         size_px = int(image.width or 0), int(image.height or 0)
         images.add_image(names[image.id], size_px if image.width and image.height else None)
@@ -132,9 +132,9 @@ def _outline(
 def _runs(text: str) -> list[int]:
     """Decodes the run lengths of pycocotools.
 
-    Letters from "0" on stand for five bits of a number, the lowest first, and a sixth that tells
-    whether more follow. From the fourth number on, the last but one is subtracted. The decoder of
-    pycocotools itself reads beyond the end of a damaged text.
+    A letter, counted from "0", holds five bits of a number, the lowest first, and a sixth bit that
+    tells whether more follow. From the fourth number on, the text holds the difference from the
+    number two before. The decoder of pycocotools itself reads beyond the end of a damaged text.
     """
     runs: list[int] = []
     value = letters = 0
@@ -168,6 +168,6 @@ def _box_of(runs: Sequence[int], size: tuple[int, int]) -> Box:
     left, right = min(first for first, _ in columns), max(last for _, last in columns) + 1
     top, bottom = min(first % height for first, _ in spans), max(last % height for _, last in spans)
     if any(first != last for first, last in columns):
-        # From the lowest pixel of a column it goes on with the highest of the next.
+        # A run goes on from the lowest pixel of a column to the highest of the next.
         top, bottom = 0, height - 1
     return float(left), float(top), float(right), bottom + 1.0

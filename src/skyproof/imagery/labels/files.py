@@ -72,7 +72,7 @@ def read_labels(path: Path, classes: Sequence[str] = ()) -> Labels:
 
 
 def label_files(folder: Path) -> list[Path]:
-    """Lists the files of a folder whose change may change its labels, without the images."""
+    """Lists the files of a folder on which its labels depend, without the images."""
     roots = _roots(folder)
     below = (file for root in roots for name in LABEL_FOLDERS for file in (root / name).rglob("*"))
     every = (*folder.iterdir(), *below, *split_texts(folder))
@@ -81,7 +81,7 @@ def label_files(folder: Path) -> list[Path]:
 
 
 def _roots(folder: Path) -> list[Path]:
-    """A user who names one of two folders beside each other means both."""
+    """Returns a folder, and its parent if it is one of a pair: users who name one mean both."""
     halved = folder.name in (*IMAGE_FOLDERS, *LABEL_FOLDERS)
     return [folder, folder.parent] if halved else [folder]
 

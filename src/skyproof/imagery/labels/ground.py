@@ -132,7 +132,7 @@ def _read_layer(
     place: Path | str, path: Path, wanted: Sequence[str]
 ) -> "tuple[GeoDataFrame, tuple[str, ...]]":
     """Reads the one layer of a vector file that may hold labels, and tells of the others."""
-    # Loaded only for labels on the ground: it takes a second.
+    # Imported only for labels on the ground, because the import takes a second.
     import geopandas
 
     try:

@@ -32,7 +32,7 @@ _LARGEST_BYTES = 256 * 2**20
 class LabelledImages:
     """Collects labels by image, refuses damaged ones, and leaves out boxes without size.
 
-    `box_form` are the numbers of a box, as the form of the labels wants them.
+    `box_form` describes the numbers of a box in this form of labels.
     """
 
     def __init__(self, path: Path, box_form: str) -> None:
@@ -95,7 +95,7 @@ def upright_label(class_name: str, box: Box, ignore: bool = False) -> Label:
 def read_text(path: Path) -> str:
     refuse_special(path, "split the labels", error=ImageryError, largest_bytes=_LARGEST_BYTES)
     try:
-        # Editors on Windows begin a text with a mark of its byte order.
+        # Editors on Windows may begin a text with a byte order mark.
         return path.read_text(encoding="utf-8-sig")
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or "it is not UTF-8"

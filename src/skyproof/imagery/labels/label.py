@@ -25,7 +25,7 @@ _TELLING_BOXES = 10
 
 @dataclass(frozen=True)
 class Label:
-    """One labelled object: four corners (x, y) in order around it, or one; `ignore` is unscored."""
+    """One labelled object: four corners (x, y) in order, or a point; `ignore` means not scored."""
 
     class_name: str
     corners: tuple[Point, ...]
@@ -71,7 +71,7 @@ class Label:
         corners = self.corners
         sides = zip(corners, (*corners[1:], corners[0]), strict=True)
         area = sum(x0 * y1 - x1 * y0 for (x0, y0), (x1, y1) in sides)
-        # With y down a positive area runs clockwise, as seen, and so do front left and front right.
+        # With y down, a positive area means clockwise on screen, like front left, front right.
         if area < 0:
             corners = (corners[0], *reversed(corners[1:]))
         if math.dist(corners[0], corners[1]) > math.dist(corners[1], corners[2]):
@@ -119,7 +119,7 @@ def outline_corners(points: Sequence[Point]) -> tuple[Point, ...]:
 
 
 def twice_note(count: int, path: object) -> tuple[str, ...]:
-    """Tells how many labels repeat others to the last digit."""
+    """Returns a note on the number of labels that repeat others to the last digit."""
     return (f"left out {counted(count, 'label')} of {path} that repeated others",) if count else ()
 
 

@@ -24,7 +24,7 @@ _VISDRONE_CLASSES = (
 
 
 def is_dota_line(words: list[str]) -> bool:
-    """Tells whether a line is a DOTA header, or eight numbers and a class that is no number."""
+    """Returns whether a line is a DOTA header, or eight numbers and a class that is no number."""
     if words[0].lower().startswith(_DOTA_HEADERS):
         return True
     try:
@@ -73,7 +73,7 @@ def _dota_label(where: str, words: list[str]) -> Label:
 
 
 def is_visdrone_line(words: list[str]) -> bool:
-    """Tells whether a line is eight numbers with commas."""
+    """Returns whether a line is eight numbers with commas."""
     try:
         return len(_visdrone_numbers(words)) == 8
     except ValueError:

@@ -40,8 +40,8 @@ def voc_files(folder: Path) -> Iterator[tuple[Path, Element]]:
 def read_voc_labels(folder: Path, files: list[tuple[Path, Element]]) -> ImageLabels:
     """Reads objects with an upright box; difficult ones become ignore regions.
 
-    The first pixel has the number 1, and the last one lies inside the box. The image has the name
-    of the file if there is such an image, and otherwise the name that the file states, unless other
+    Pixels count from 1, and a box includes its last pixel. The image has the name of the annotation
+    file if there is such an image, and otherwise the name that the file states, unless other
     files state it too.
     """
     images = LabelledImages(folder, "xmin, ymin, xmax, ymax in pixels")

@@ -39,7 +39,7 @@ def class_file(folder: Path) -> Path | None:
 
 
 def is_yolo_line(words: list[str]) -> bool:
-    """Tells whether a line is a whole number and a box or polygon."""
+    """Returns whether a line is a class number and a box or polygon."""
     try:
         index, *values = finite_numbers(words)
     except ValueError:
@@ -64,8 +64,8 @@ def read_yolo_labels(folder: Path, names: Path | None) -> ImageLabels:
     """Reads `class cx cy w h` or `class x1 y1 ... xn yn` lines, as shares of the image's sides.
 
     Four corners are kept; any other polygon becomes the upright box around it. Without class names,
-    one class may occur. Texts without an image of their name, such as a read-me, are skipped. They
-    lie in the folder, in its `labels`, or else in folders called `labels` below it.
+    only one may occur. Texts lie in the folder, in its `labels`, or else in folders called `labels`
+    below it. Those without an image of their name, such as a read-me, are skipped.
     """
     classes = None if names is None else _classes(names)
     images = LabelledImages(folder, "centre x, centre y, width, height as shares of the image")
@@ -122,7 +122,7 @@ def _classes(path: Path) -> list[str]:
     names = _yaml_names(text, path) if is_yaml else [line.strip() for line in text.splitlines()]
     while names and not names[-1]:
         names.pop()
-    # An empty place counts, since labels name classes by their place.
+    # An empty line counts, since labels refer to classes by their place in the list.
     names = [name or f"class {place}" for place, name in enumerate(names)]
     if not names:
         raise ImageryError(

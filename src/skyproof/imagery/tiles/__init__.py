@@ -1,1 +1,1 @@
-"""Orthophotos are cut into tiles of true metres, in splits by place. Labels are taken along."""
+"""Cuts orthophotos into tiles in true metres, in splits by place. Takes their labels along."""

@@ -1,4 +1,4 @@
-"""Divides the cells of grids among the splits, in blocks that lie together."""
+"""Divides the cells of grids among the splits, in contiguous blocks."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -18,8 +18,8 @@ def assign_splits(
     """Divides cells among the splits by their shares; returns the width of blocks by grid, too.
 
     A block of about 400 m goes to one split. Its width is halved until there are 24 blocks, so that
-    the shares come out about right. Blocks are shuffled, sorted by size, the largest first, and go
-    to a split that has none, then to the one that is furthest behind its share.
+    the shares come out about right. Blocks are shuffled and sorted by size, the largest first. Each
+    goes to a split that has none or, without such a split, to the one furthest behind its share.
     """
     width_m = WIDEST_BLOCK_M
     while True:

@@ -42,7 +42,7 @@ class Collar:
     rows: NDArray[np.int64]
 
     def covers(self, window: Window, shape: tuple[int, int]) -> NDArray[np.bool_]:
-        """Tells which pixels of a window that is read in this shape belong to the collar."""
+        """Returns which pixels of a window that is read in this shape belong to the collar."""
         row = (window.row_off + _middles(window.height, shape[0]))[:, None]
         column = (window.col_off + _middles(window.width, shape[1]))[None]
         first_column, last_column = self.columns[:, row]
@@ -56,14 +56,14 @@ def _middles(length: float, count: int) -> NDArray[np.int64]:
 
 
 def is_lossy(dataset: DatasetReader) -> bool:
-    """Tells whether the stored values may differ from the picture's."""
+    """Returns whether compression may have changed the picture's values."""
     return dataset.driver in _LOSSY_DRIVERS or dataset.compression in _LOSSY_COMPRESSIONS
 
 
 def corners_of(dataset: DatasetReader) -> Iterator[Window]:
     """Yields small windows at the corners of an image."""
     width, height = (min(_CORNER_PX, side) for side in (dataset.width, dataset.height))
-    # A photograph has a collar on all sides or on none, and its lower corners cost decoding it.
+    # Photographs have a collar on all sides or none, and reading lower corners decodes all of them.
     photograph = dataset.driver == "JPEG" and dataset.transform.is_identity
     for top in (0,) if photograph else (0, dataset.height - height):
         for left in (0, dataset.width - width):
@@ -75,9 +75,9 @@ def find_collars(
 ) -> tuple[Collar, ...]:
     """Finds collars of the darkest and of the brightest possible value in all bands.
 
-    An image has one if one of `corners` shows nothing else, and if it is there no less than 0.2 %
-    of the image. Only an image with such a corner is read, strip by strip. Shadows and white roofs
-    inside the image are not reached from its border.
+    An image has one if one of `corners` shows nothing else, and if its parts at the corners make up
+    0.2 % of the image or more. Only an image with such a corner is read, strip by strip. Shadows
+    and white roofs inside the image are not reached from its border.
     """
     if not corners:
         return ()
@@ -132,7 +132,7 @@ def _between(
         rows[0, some] = np.minimum(rows[0], top + picture.argmax(0))[some]
         rows[1, some] = top + count - 1 - picture[::-1].argmax(0)[some]
     if tolerance:
-        # Pixels at the edge of the collar are spoilt, but none where there is no collar.
+        # Pixels at the edge of a collar are spoilt; lines without a collar stay whole.
         for lines, last in ((columns, width - 1), (rows, height - 1)):
             lines[0][lines[0] > 0] += _LOSSY_PX
             lines[1][lines[1] < last] -= _LOSSY_PX

@@ -24,7 +24,7 @@ _SAME_GSD = 0.01
 TRUE_TO_SCALE = 0.0015
 
 _LARGEST_OFFSET_PX = 1.0
-"""From control points to an affine transform that may stand for them."""
+"""Largest distance of control points from an affine transform that may replace them."""
 
 EQUATOR_RADIUS_M, ECCENTRICITY_SQUARED = 6378137.0, 0.00669437999014
 """WGS 84."""
@@ -58,7 +58,7 @@ def to_reference_system(
         xs, ys, *_ = transform_places(source, target, *zip(*points, strict=True))
         return list(zip(xs, ys, strict=True))
     except (RasterioError, CPLE_BaseError):
-        # One point makes all fail: find it.
+        # One bad point makes all fail, so halves are tried until it stands alone.
         if len(points) == 1:
             return [(math.inf, math.inf)]
         half = len(points) // 2
@@ -67,7 +67,7 @@ def to_reference_system(
 
 
 def outline(width_px: int, height_px: int, steps: int = 8) -> list[Point]:
-    """Returns points along the border of a picture: lines of one system are curves in another."""
+    """Returns points along a picture's border: lines in one system are curves in another."""
     width, height = float(width_px), float(height_px)
     shares = [i / steps for i in range(steps)]
     half = [(share * width, 0.0) for share in shares]
@@ -85,7 +85,7 @@ def read_georeference(
     """Finds the place of an image, and adds assumptions to `notes`.
 
     `crs` is the reference system of a transform (the file's or a world file's) that names none, or
-    a local one, which lies nowhere on Earth. Without any the image has `source_gsd_m`, or the
+    a local one, which lies nowhere on Earth. Without any system an image has `source_gsd_m`, or the
     transform's pixel size if plausible, in the local system's unit or in metres.
     """
     affine, system = dataset.transform, dataset.crs
@@ -205,7 +205,7 @@ def distances_m(crs: CRS, places: Sequence[Point]) -> list[float] | None:
 
 
 def is_true_to_scale(crs: CRS, place: Point) -> bool:
-    """Tells whether a unit is a metre to 0.15 %, as in UTM and most national grids."""
+    """Returns whether a unit is a metre to within 0.15 %, as in UTM and most national grids."""
     (x, y), step = place, 100.0
     lengths_m = distances_m(crs, [place, (x + step, y), (x, y + step)]) or [math.inf]
     return crs.is_projected and all(abs(one / step - 1) < TRUE_TO_SCALE for one in lengths_m)

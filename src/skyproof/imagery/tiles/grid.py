@@ -27,7 +27,7 @@ from skyproof.words import counted, named, span
 
 FULL_SHARE = 0.98
 NEARLY = 0.95
-"""Share of the most ground that any tiles use, from which larger tiles are preferred."""
+"""Larger tiles are preferred if they use this share of the most ground that any tiles use."""
 MOST_CELLS = 500_000
 """Tiles of one grid, as many as a thousand square kilometres have at the usual size."""
 GLOBAL_FROM_TILES = 8
@@ -48,8 +48,8 @@ _Layout = tuple[str, CRS | None, dict[int, Extent], dict[int, Corners]]
 class Cell:
     """A square of ground that may become a tile.
 
-    `sources` are the numbers of those that may show it, in the order of their precedence; `block`
-    is a name of the grid, row and column.
+    `sources` are the numbers of the sources that may show it, in order of precedence. `block` is
+    the grid's name, the row and the column.
     """
 
     id: str
@@ -76,7 +76,7 @@ class Cell:
 
     @property
     def transform(self) -> Affine:
-        """Takes its pixels (column, row) to coordinates."""
+        """The transform from its pixels (column, row) to coordinates."""
         return Affine(self.gsd_m, 0.0, self.left_m, 0.0, -self.gsd_m, self.top_m)
 
 
@@ -172,13 +172,13 @@ def extent_of(source: Source, crs: CRS | None) -> Extent:
 
 
 def lay_grids(sources: Sequence[Source], settings: TilingSettings, notes: list[str]) -> list[Grid]:
-    """Lays grids over sources, whose extents touch in each; refuses sources without a whole cell.
+    """Lays a grid over each group of sources that touch; refuses sources without a whole cell.
 
     The system is that of the first source if a unit there is a metre on the ground, so that imagery
     need not be resampled, and otherwise the UTM zone. Cells lie at multiples of their size, so that
     a place falls in the same cell in every run, except in imagery of fewer than eight cells across.
-    Cells shrink until there is one for each split, at most to `turning_px`. Where sources hold no
-    such cell, or all sources together too few, they shrink on to those that use most ground.
+    Cells shrink until there is one for each split, but not below `turning_px`. If sources hold no
+    such cell, or all together too few, cells shrink further, to the size that uses the most ground.
     """
     layouts = [_layout(sources, group) for group in _groups(sources)]
     alone = sum(source.georeference.crs is None for source in sources)
@@ -224,7 +224,7 @@ def lay_grids(sources: Sequence[Source], settings: TilingSettings, notes: list[s
 def _tight_notes(
     grids: Sequence[Grid], sources: Sequence[Source], settings: TilingSettings
 ) -> Iterator[str]:
-    """Tells of tiles in which scenes cannot turn freely."""
+    """Yields a note on tiles in which scenes cannot turn freely."""
     tight = [grid for grid in grids if grid.size_px < settings.turning_px]
     if tight and settings.minimum_px is not None:
         names = [sources[i].path.name for grid in tight for i in grid.extents]
@@ -261,7 +261,7 @@ def _grid(
 
 
 def _from_corners(grid: Grid) -> Iterator[Grid]:
-    """Yields the grid from the corners of its photographs, so that it has the cells of any alone.
+    """Yields the grid laid from its photographs' corners in turn, as it would lie on each alone.
 
     Cell (0, 0) stays at the north-west of all of them.
     """
@@ -274,9 +274,9 @@ def _from_corners(grid: Grid) -> Iterator[Grid]:
 
 
 def _shrunk(grid: Grid, layout: _Layout, least_px: int, *, few: bool) -> Grid:
-    """Shrinks cells to the largest that use nearly as much ground as any; with `few`, to the most.
+    """Shrinks cells to the largest size that uses nearly as much ground as any size does.
 
-    No cell is smaller than `least_px`.
+    With `few` the number of cells counts instead. No cell is smaller than `least_px`.
     """
     sides_px = [
         side_m / grid.gsd_m
@@ -320,7 +320,7 @@ def _groups(sources: Sequence[Source]) -> list[list[int]]:
     placed = [i for i, source in enumerate(sources) if source.georeference.crs is not None]
     extents = np.array([extent_of(sources[i], DEGREES) for i in placed]).reshape(-1, 4)
     low, high = extents[:, :2], extents[:, 2:]
-    # Sheets that lie side by side leave gaps of rounding.
+    # Rounding leaves gaps between map sheets that lie side by side.
     gap = 1e-5
     touching = (low[:, None] <= high[None] + gap) & (low[None] <= high[:, None] + gap)
     pairs = np.eye(len(sources), dtype=bool)
@@ -342,7 +342,7 @@ def cells_of(grid: Grid) -> list[Cell]:
     cells = []
     blocks = grid.name
     if grid.crs is not None and (grid.left_m or grid.top_m):
-        # Rows and columns from a corner of its own are no places of another grid.
+        # Rows and columns from the grid's own corner mean other places in another grid.
         blocks = f"{grid.name}-e{math.floor(grid.left_m)}-n{math.floor(grid.top_m)}"
     for (row, column), numbers in grid.filled.items():
         left_m, top_m = grid.left_m + column * grid.side_m, grid.top_m - row * grid.side_m

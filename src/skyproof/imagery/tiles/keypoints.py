@@ -50,7 +50,7 @@ def find_keypoints(grey: Picture, usable: NDArray[np.bool_], most: int) -> Keypo
     try:
         finder.detect_and_extract(grey)
     except RuntimeError:
-        # scikit-image's answer to a picture without any point.
+        # scikit-image raises this for a picture without any point.
         return none
     rows, columns = np.rint(finder.keypoints).astype(np.int64).T
     inside = usable[rows.clip(0, len(usable) - 1), columns.clip(0, usable.shape[1] - 1)]

@@ -35,7 +35,7 @@ BIN_M = 64.0
 FARTHEST_PX = 1e6
 EVERYTHING = "image without labels"
 POINT_BOX_M = 4.0
-"""A car's upright box at a random heading: the side of the box of a point label."""
+"""Side of a point label's box: that of a car's upright box at a random heading."""
 
 
 @dataclass
@@ -103,7 +103,7 @@ class PlacedLabels:
         flat = [corner for label in labels.labels for corner in label.corners]
         for name, plane in self._planes.items():
             if plane.crs is None:
-                # Labels on the map do not tell about an image that is not on it.
+                # Labels on a map say nothing about an image that has no place on it.
                 for number in sorted(plane.sources):
                     self._add_unlabelled(name, number)
                 continue
@@ -173,7 +173,7 @@ class PlacedLabels:
         return label.moved(to_reference_system(georeference.crs, self._planes[plane].crs, corners))
 
     def _add_unlabelled(self, plane: str, number: int) -> None:
-        """Ignores a source that nobody labelled."""
+        """Makes a source that nobody labelled one ignore region."""
         source = self._sources[number]
         told = "no labels, so nothing is scored on its tiles"
         self.notes.append(ImageNote(source.path.name, told))
@@ -194,7 +194,7 @@ class PlacedLabels:
             self._bins[plane, column, row].append(item)
 
     def on(self, cell: Cell, owner: Int[np.ndarray, "S S"]) -> list[Annotation]:
-        """Returns vehicles and ignore regions of a tile whose pixels come from sources `owner`."""
+        """Returns vehicles and ignore regions of a tile; `owner` is the source of each pixel."""
         left, bottom, right, top = cell.extent
         near: dict[int, _Placed] = {}
         for place in itertools.product(_bins(left, right), _bins(bottom, top)):

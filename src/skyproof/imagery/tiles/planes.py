@@ -63,10 +63,10 @@ def share_planes(
     labels: Labels | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Source]:
-    """Gives sources without georeference one plane where they show the same ground.
+    """Places sources without georeference in one plane if they show the same ground.
 
-    Labelled objects do not count as ground: vehicles look alike, and move. `progress` gets (steps
-    done, all) if there are many: each is read, and compared with the others.
+    Labelled objects do not count as ground: vehicles look alike, and move. With many sources,
+    `progress` gets (steps done, all): each is read, then compared with the others.
     """
     alone = [i for i, source in enumerate(sources) if source.georeference.crs is None]
     if len(alone) < 2:
@@ -76,7 +76,7 @@ def share_planes(
     views = []
     with SourceReader() as reader, ThreadPoolExecutor(torch.get_num_threads()) as pool:
         pixel_m = min(usual_m, COARSEST_GSD_M)
-        # Read by one thread, because files of GDAL belong to one.
+        # Read by one thread, because threads must not share GDAL's open files.
         pictures = (_coarse_picture(sources[i], reader, pixel_m, labels) for i in alone)
         for number, view in enumerate(pool.map(lambda each: CoarseView.of(*each), pictures), 1):
             views.append(dataclasses.replace(view, stood=sources[alone[number - 1]].exif.place))
@@ -151,7 +151,7 @@ def _averaged(
 
 
 def _upright(stored: NDArray[_Value], transform: Affine) -> NDArray[_Value]:
-    """Turns a picture `[H, W]` as it is stored to the upright one."""
+    """Turns a stored picture `[H, W]` upright."""
     upright = stored.T if transform.b else stored
     across = -1 if transform.a + transform.b < 0 else 1
     down = -1 if transform.d + transform.e < 0 else 1
@@ -179,7 +179,7 @@ def _poses(count: int, pairs: Sequence[PhotographPair]) -> tuple[list[_Pose], li
         if not pairs:
             break
         misfits_m = [_misfit_m(pair, poses) for pair in pairs]
-        # A wrong pair bends those around it.
+        # A wrong pair distorts those around it, so only the worst are dropped at a time.
         limit_m = max(LARGEST_MISFIT_M, 0.9 * max(misfits_m))
         kept = [pair for pair, off in zip(pairs, misfits_m, strict=True) if off <= limit_m]
         if len(kept) == len(pairs):

@@ -25,7 +25,7 @@ LEAST_BASE_PX = 25.0
 """Distance of two matches that suggest how photographs lie to each other."""
 LARGEST_SCALE = 2.0
 LARGEST_TURN_RAD, LARGEST_GROWTH = 0.5, 0.6
-"""How far, in radians and in the logarithm, a match may differ from all others."""
+"""Largest differences of a match from a suggested turn: in radians, and in the log of scale."""
 LEAST_CORRELATION = 0.4
 MOST_ELSEWHERE = 0.85
 """Share of the correlation that the overlap may reach at any other shift.
@@ -35,15 +35,15 @@ Bays of a car park, tiles of a roof and furrows of a field reach nearly all of i
 ELSEWHERE_PX = 4
 LEAST_OVERLAP = 0.1
 ENOUGH_PAIRS = 4
-"""Pairs of a photograph after which those that tell nothing new are left out."""
+"""Number of pairs of a photograph beyond which redundant pairs are left out."""
 MOST_NEIGHBOURS = 250
-"""A photograph is compared with so many before and after it, so that time grows with their number.
+"""A photograph is compared with this many before and after it, so that time grows only linearly.
 
-Frames of a flight lie beside each other in the order of their names.
+Photographs of a flight are neighbours in the order of their names.
 """
 
 OBLIQUE_M = 200.0
-"""How far beside its ground a camera may stand, with the error of its receiver."""
+"""Largest horizontal distance of a camera from the ground it shows, with its receiver's error."""
 
 _AT_ONCE = 32
 
@@ -53,7 +53,7 @@ class CoarseView:
     """A photograph at a coarse scale, and its points.
 
     Attributes:
-        details: its light and dark spots without their brightness, `[H, W]`, 0 where not usable.
+        details: brightness less that of the surroundings, `[H, W]`, 0 where not usable.
         usable: pixels with data and without labelled vehicles, `[H, W]`.
         pixel_m: metres per pixel.
         stood: longitude and latitude of the camera in degrees, if it is known.
@@ -70,7 +70,7 @@ class CoarseView:
         cls, grey: NDArray[np.float32], usable: NDArray[np.bool_], pixel_m: float
     ) -> "CoarseView":
         details = ndimage.gaussian_filter(grey, 0.6) - ndimage.gaussian_filter(grey, 3.8)
-        # Strong edges of few things would drown everything else.
+        # Otherwise the strong edges of a few things would outweigh everything else.
         spread = details[usable].std() if usable.any() else 1.0
         details = np.clip(details / max(spread, 1e-6), -2.5, 2.5) * usable
         keypoints = find_keypoints(grey, usable, MOST_KEYPOINTS)
@@ -124,7 +124,7 @@ def find_pairs(
 
 
 def _far_apart(one: CoarseView, other: CoarseView) -> bool:
-    """Tells whether the cameras stood too far apart to see the same ground."""
+    """Returns whether the cameras stood too far apart to see the same ground."""
     if one.stood is None or other.stood is None:
         return False
     (apart_m,) = distances_m(DEGREES, [one.stood, other.stood]) or [0.0]
@@ -213,7 +213,7 @@ def _similarity(
         return grown & (np.abs(relative.imag) < LARGEST_TURN_RAD)
 
     def agree(turns: Complex, shifts: Complex) -> NDArray[np.bool_]:
-        """Tells which matches agree with turns and shifts, `[..., matches]`."""
+        """Returns which matches agree with turns and shifts, `[..., matches]`."""
         near = np.abs(turns[..., None] * off + shifts[..., None] - to) < tolerance_m
         return near & turned_alike(sizes, turns[..., None])
 
@@ -244,7 +244,7 @@ def _similarity(
 
 
 def _overlap_agrees(one: CoarseView, two: CoarseView, turn: complex, shift: complex) -> bool:
-    """Tells whether the overlap of two views correlates, and at no other shift nearly as much."""
+    """Returns whether the overlap of two views correlates, and at other shifts much less."""
     step = one.pixel_m / (turn * two.pixel_m)
     # Pixels have their places at their middles.
     start = step * (0.5 + 0.5j) - shift / (turn * two.pixel_m) - (0.5 + 0.5j)

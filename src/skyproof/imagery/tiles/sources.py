@@ -39,20 +39,20 @@ OPEN_AT_ONCE = 8
 
 _PROBES, _PROBE_PX = 12, 128
 _BELOW_ALL, _ABOVE_ALL = -9000.0, 1e30
-"""Between the fill values of many writers (-9999, -32768, -3.4e38, 3.4e38, NaN) lie pictures."""
+"""Picture values lie between the usual fill values (-9999, -32768, -3.4e38, 3.4e38, NaN)."""
 _DOUBTED = 1.6
-"""Times by which heights above the start are seldom off."""
+"""Factor by which heights above the take-off point are seldom off."""
 _COLOURS = ("red", "green", "blue")
 _INFRARED = ("nir", "rededge", "swir", "mwir", "lwir")
 
 
 @dataclass(frozen=True)
 class Source:
-    """An orthophoto that was inspected but not read; `notes` tell assumptions and repairs.
+    """An orthophoto that was inspected but not read; `notes` state assumptions and repairs.
 
     Attributes:
-        width_px: its width upright, as `height_px`, its georeference and labels take it.
-        stored: takes pixels (column, row) as they are stored to those of the upright image.
+        width_px: its upright width; `height_px`, georeference and labels are upright, too.
+        stored: transform from stored pixels (column, row) to those of the upright image.
         bands: the bands, from 1, taken as red, green and blue.
         value_range: the values that become black and white; None if bytes are taken as they are.
         alpha_is_colour: whether its alpha band is no mask.
@@ -86,8 +86,8 @@ class Source:
 
 
 def find_images(paths: Sequence[Path]) -> list[Path]:
-    """Lists the images among `paths`, and in the folders among them, or in their `images/` or
-    `JPEGImages/`, or else in the folders below, as sets of training data keep them.
+    """Lists the images among `paths` and in folders among them: directly, in `images/` or in
+    `JPEGImages/`, or else in any folder below, as in sets of training data.
 
     Raises:
         ImageryError: a path is missing, a folder holds no image, or two images share a name.
@@ -239,7 +239,7 @@ def inspect_source(path: Path, settings: SourceSettings, reader: SourceReader) -
 
 
 def _doubts(source: Source) -> list[str]:
-    """Notes that a resolution that was given is far from that of the camera's height."""
+    """Returns a note if the resolution given is far from that suggested by the camera's height."""
     likely_m, (gsd_m, _) = source.exif.gsd_m, source.georeference.gsd_m
     if source.georeference.crs is not None or likely_m is None:
         return []
@@ -313,7 +313,7 @@ def _choose_bands(dataset: DatasetReader, notes: list[str]) -> tuple[int, int, i
 
 
 def _alpha_is_colour(dataset: DatasetReader, notes: list[str]) -> bool:
-    """Tells whether a band tagged as alpha holds a picture, as some writers tag infrared."""
+    """Returns whether a band tagged as alpha holds a picture; some writers tag infrared so."""
     if ColorInterp.alpha not in dataset.colorinterp:
         return False
     band = dataset.colorinterp.index(ColorInterp.alpha) + 1
@@ -365,7 +365,7 @@ def _value_range(dataset: DatasetReader, source: Source, notes: list[str]) -> tu
 
 
 def holds_data(values: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Tells which pixels of `[bands, H, W]` hold numbers of a picture rather than fill values."""
+    """Returns which pixels of `[bands, H, W]` hold values of a picture rather than fill values."""
     inside = np.logical_and(values > _BELOW_ALL, values < _ABOVE_ALL)
     return np.logical_and.reduce(inside, axis=0)
 

@@ -172,7 +172,7 @@ def tile_imagery(
 
 
 def _labelled_first(cell: Cell, sources: Sequence[Source], labels: Labels | None) -> Cell:
-    """Cuts a cell of several photographs from one that was labelled, if there is any."""
+    """Puts labelled photographs first among those of a cell, so that it is cut from one of them."""
     if cell.crs is not None or not isinstance(labels, ImageLabels):
         return cell
     order = sorted(cell.sources, key=lambda i: sources[i].path.stem not in labels.images)

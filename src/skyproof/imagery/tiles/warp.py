@@ -40,9 +40,9 @@ class CellImage:
 def read_cell(cell: Cell, sources: Sequence[Source], reader: SourceReader) -> CellImage | None:
     """Reads a cell from its sources; None if they fill less than 98 % of it.
 
-    The first source that fills so much gives all of it, else each fills what those before it left.
-    Empty pixels take the nearest colour, because a detector would learn a black edge as a sign.
-    Overviews inside the files are not used, because many were made by point sampling.
+    The first source that fills so much provides the whole cell; otherwise each source fills what
+    those before it left. Empty pixels take the nearest colour, because a detector would learn from
+    black edges. Overviews inside the files are not used, because many were point-sampled.
     """
     parts: list[tuple[int, NDArray[np.uint8], NDArray[np.bool_]]] = []
     for number in cell.sources:
@@ -60,7 +60,7 @@ def read_cell(cell: Cell, sources: Sequence[Source], reader: SourceReader) -> Ce
 
 
 def _filled(values: NDArray[_Value], valid: NDArray[np.bool_]) -> NDArray[_Value]:
-    """Gives every invalid pixel the values of the nearest valid one."""
+    """Returns the values, with those of the nearest valid pixel in every invalid one."""
     if valid.all() or not valid.any():
         return values
     # One ring around the invalid pixels is enough: none beyond it is nearer.
@@ -99,7 +99,7 @@ def _fill_piece(
     pixels: NDArray[np.uint8],
     valid: NDArray[np.bool_],
 ) -> None:
-    """Fills a piece of a cell, whose pixels `transform` takes to coordinates."""
+    """Fills a piece of a cell; `transform` maps its pixels to coordinates."""
     shrink = max(cell.gsd_m / gsd for gsd in source.georeference.gsd_m)
     # The resampling needs a margin.
     margin_px = math.ceil(2 * max(shrink, 1.0)) + 2

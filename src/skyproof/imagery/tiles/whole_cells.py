@@ -71,7 +71,7 @@ def _beyond_m(corners: Corners, x: NDArray[np.float64], y: NDArray[np.float64]) 
 
 
 def _lies_along(corners: Corners) -> bool:
-    """Tells whether the sides of a photograph run along the axes of its plane."""
+    """Returns whether the sides of a photograph run along the axes of its plane."""
     across, up = corners[1] - corners[0]
     turn_rad = math.atan2(up, across) % (math.pi / 2)
     return min(turn_rad, math.pi / 2 - turn_rad) < ALONG_RAD
