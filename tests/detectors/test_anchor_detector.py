@@ -256,7 +256,7 @@ def test_an_activation_stays_with_its_network() -> None:
 @pytest.mark.parametrize("activated", [True, False])
 def test_a_pooling_layer_computes_what_it_was_trained_with(tmp_path: Path, activated: bool) -> None:
     """Ultralytics 8.4.0 left an activation out of SPPF, and later releases put it back."""
-    from skyproof.detectors.checkpoints import network_of, read_checkpoint
+    from skyproof.detectors.checkpoints import networks_in, read_checkpoint
     from skyproof.detectors.ultralytics_detectors import build_model
 
     plain = {**of_2020()}
@@ -266,7 +266,7 @@ def test_a_pooling_layer_computes_what_it_was_trained_with(tmp_path: Path, activ
     if not activated:
         model.model[9].cv1.act = nn.Identity()
     torch.save({"model": model}, tmp_path / "best.pt")
-    network = network_of(read_checkpoint(tmp_path / "best.pt"))
+    network = next(iter(networks_in(read_checkpoint(tmp_path / "best.pt")).values()))
     checkpoint = Checkpoint(tmp_path / "best.pt", "ultralytics", ["car"])
     architecture, *_ = read_ultralytics(checkpoint, network, {}, "")
     rebuilt = build_model(architecture)

@@ -97,7 +97,7 @@ def still_open(its: Subject, requirement: Requirement) -> Step:
             raise RunEnded(
                 "The run ends before the attacks, because a detector that failed its precheck, or "
                 "does not see rendered vehicles like photographed ones, cannot be accepted. "
-                "Improve the detector, or repeat the command with --go-on to measure the attacks."
+                "Improve it, or give the same command with --go-on to measure the attacks."
             )
         write_json(out, {"failed": failed})
 
