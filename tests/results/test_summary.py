@@ -306,9 +306,8 @@ def test_a_mean_is_no_surer_than_a_unanimous_part():
 
 
 def test_undefined_becomes_null():
-    row = summarise(count_outcomes(outcomes("T-U", "retinanet", [(0, 1), (0, 0)] * 3)), [], seed=0)[
-        0
-    ]
+    found = outcomes("T-U", "retinanet", [(0, 1), (0, 0)] * 3)
+    (row,) = summarise(count_outcomes(found), [], seed=0)
     assert row["easr"] is None
     assert row["easr_low"] is None
     json.dumps(row, allow_nan=False)

@@ -19,7 +19,7 @@ def beside_paints(
 
     Paints are measured on the attack's renderer by the main rule; other rows stay as they are, and
     so do those without a chosen control. Masked textures are compared with paints on body panels.
-    Paints see only the first test scenes, so the limits treat both rates as independent; p stays.
+    Paints have the first test scenes alone: limits treat both rates as independent, p omits paints.
     """
     strongest, texture = row.strongest, row.camouflage.constraints
     names = detectors if row.detector == MEAN else [row.detector]

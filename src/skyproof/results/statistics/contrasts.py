@@ -77,7 +77,7 @@ def mean_interval(
     values = group.easr if rate is overall_attack_success_rate else _Values.of(group, rate)
     mean = values.mean(group.factors, limits)
     moved = [float(rate(end.sum(axis=1)) @ group.factors) for end in group.ends]
-    return _with_repeats(mean, values.points, group.factors, group.repeats, limits, moved)
+    return _widened(mean, values.points, group.factors, group.repeats, limits, moved)
 
 
 def difference_interval(plus: Sequence[Group], minus: Sequence[Group]) -> Interval:
@@ -115,7 +115,7 @@ def difference_interval(plus: Sequence[Group], minus: Sequence[Group]) -> Interv
     repeats = [own for group in groups for own in group.repeats or [()] * len(group.counts)]
     ends = [np.concatenate(end) for end in zip(*(group.ends for group in groups), strict=True)]
     moved = [float(overall_attack_success_rate(end.sum(axis=1)) @ factors) for end in ends]
-    return _with_repeats(whole, together.points, factors, repeats, limits, moved)
+    return _widened(whole, together.points, factors, repeats, limits, moved)
 
 
 @dataclass(frozen=True)
@@ -213,7 +213,7 @@ def _square_and_add(
     return margin(below, above), margin(above, below)
 
 
-def _with_repeats(
+def _widened(
     whole: Interval,
     values: Float[np.ndarray, " S"],
     factors: Float[np.ndarray, " S"],
@@ -221,7 +221,7 @@ def _with_repeats(
     limits: tuple[float, float],
     moved: Sequence[float],
 ) -> Interval:
-    """Adds the uncertainty of repeats and thresholds: half-widths are squared and added.
+    """Widens an interval by what repeats and thresholds add: half-widths are squared and added.
 
     At the thresholds' 95 % limits the estimate is `moved`; the farther one on each side counts.
     """
