@@ -1,6 +1,5 @@
 """Collects labels in pixels of images, for every form; finds the images, reads the lines."""
 
-import math
 import warnings
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -116,11 +115,14 @@ def text_lines(path: Path) -> list[tuple[str, list[str]]]:
     return [(f"{path} line {number}", line.split()) for number, line in lines if line.strip()]
 
 
-def finite_numbers(words: Sequence[str]) -> list[float]:
-    values = [float(word) for word in words]
-    if not all(math.isfinite(value) and abs(value) <= LARGEST_NUMBER for value in values):
-        raise ValueError("not a number of a label")
-    return values
+def label_numbers(words: Sequence[str]) -> list[float]:
+    """Returns words as numbers; nothing if one is no number, not finite, or beyond the largest."""
+    try:
+        values = [float(word) for word in words]
+    except ValueError:
+        return []
+    # NaN is not below it either.
+    return values if all(abs(value) <= LARGEST_NUMBER for value in values) else []
 
 
 def image_of(text: Path) -> Path | None:

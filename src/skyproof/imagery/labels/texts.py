@@ -6,9 +6,9 @@ from pathlib import Path
 from skyproof.imagery.labels.image_files import (
     LabelledImages,
     damaged,
-    finite_numbers,
     image_of,
     image_size_px,
+    label_numbers,
     label_texts,
     text_lines,
     upright_label,
@@ -27,11 +27,7 @@ def is_dota_line(words: list[str]) -> bool:
     """Returns whether a line is a DOTA header, or eight numbers and a class that is no number."""
     if words[0].lower().startswith(_DOTA_HEADERS):
         return True
-    try:
-        finite_numbers(words[:8])
-    except ValueError:
-        return False
-    return len(words) > 8 and not _is_number(words[8])
+    return len(words) > 8 and len(label_numbers(words[:8])) == 8 and not _is_number(words[8])
 
 
 def _is_number(word: str) -> bool:
@@ -61,28 +57,23 @@ def read_dota_labels(folder: Path) -> ImageLabels:
 
 
 def _dota_label(where: str, words: list[str]) -> Label:
-    try:
-        x1, y1, x2, y2, x3, y3, x4, y4 = finite_numbers(words[:8])
-        # Some writers leave out the difficulty.
-        if len(words) not in (9, 10) or words[9:] not in ([], ["0"], ["1"], ["2"]):
-            raise ValueError
-    except ValueError as error:
-        raise damaged(where, "is not 'x1 y1 x2 y2 x3 y3 x4 y4 class difficult'") from error
-    corners = (x1, y1), (x2, y2), (x3, y3), (x4, y4)
+    numbers = label_numbers(words[:8])
+    # Some writers leave out the difficulty.
+    known = len(words) > 8 and words[9:] in ([], ["0"], ["1"], ["2"])
+    if not numbers or not known:
+        raise damaged(where, "is not 'x1 y1 x2 y2 x3 y3 x4 y4 class difficult'")
+    corners = tuple(zip(numbers[::2], numbers[1::2], strict=True))
     return Label(words[8], corners, ignore=words[9:] not in ([], ["0"]))
 
 
 def is_visdrone_line(words: list[str]) -> bool:
     """Returns whether a line is eight numbers with commas."""
-    try:
-        return len(_visdrone_numbers(words)) == 8
-    except ValueError:
-        return False
+    return len(_visdrone_numbers(words)) == 8
 
 
 def _visdrone_numbers(words: list[str]) -> list[float]:
     # Some lines of the public set end with a comma.
-    return finite_numbers("".join(words).removesuffix(",").split(","))
+    return label_numbers("".join(words).removesuffix(",").split(","))
 
 
 def read_visdrone_labels(folder: Path) -> ImageLabels:
@@ -97,13 +88,11 @@ def read_visdrone_labels(folder: Path) -> ImageLabels:
 
 
 def _visdrone_label(where: str, words: list[str]) -> Label:
-    try:
-        left, top, width, height, score, category, _, _ = _visdrone_numbers(words)
-        if score not in (0, 1):
-            raise ValueError
-    except ValueError as error:
+    numbers = _visdrone_numbers(words)
+    if len(numbers) != 8 or numbers[4] not in (0, 1):
         form = "'left,top,width,height,score,category,truncation,occlusion' with a score of 0 or 1"
-        raise damaged(where, f"is not {form}") from error
+        raise damaged(where, f"is not {form}")
+    left, top, width, height, score, category, _, _ = numbers
     if category not in range(len(_VISDRONE_CLASSES)):
         what = f"has category {category:g} but VisDrone's are 0 to {len(_VISDRONE_CLASSES) - 1}"
         raise damaged(where, what)

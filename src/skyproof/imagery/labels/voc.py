@@ -8,9 +8,9 @@ from xml.etree.ElementTree import Element, ParseError
 from skyproof.imagery.labels.image_files import (
     LabelledImages,
     damaged,
-    finite_numbers,
     image_of,
     image_size_px,
+    label_numbers,
     label_texts,
     read_text,
     upright_label,
@@ -68,11 +68,10 @@ def _label(row: Element, where: str) -> Label:
     name = (row.findtext("name") or "").strip()
     if not 0 < len(name) <= _LONGEST_NAME:
         raise damaged(where, "has no name")
-    try:
-        sides = [row.findtext(f"bndbox/{side}") or "" for side in _SIDES]
-        left, top, right, bottom = finite_numbers(sides)
-    except ValueError as error:
-        raise damaged(where, f"has no bndbox of numbers ({', '.join(_SIDES)})") from error
+    sides = label_numbers([row.findtext(f"bndbox/{side}") or "" for side in _SIDES])
+    if not sides:
+        raise damaged(where, f"has no bndbox of numbers ({', '.join(_SIDES)})")
+    left, top, right, bottom = sides
     difficult = (row.findtext("difficult") or "0").strip().lower()
     if difficult not in ("0", "1", "false", "true"):
         raise damaged(where, f"is difficult as {difficult[:40]!r}, not 0 or 1")

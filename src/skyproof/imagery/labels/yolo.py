@@ -11,9 +11,9 @@ from skyproof.imagery.labels.image_files import (
     IMAGE_FOLDERS,
     LabelledImages,
     damaged,
-    finite_numbers,
     image_of,
     image_size_px,
+    label_numbers,
     label_texts,
     read_text,
     text_lines,
@@ -40,11 +40,8 @@ def class_file(folder: Path) -> Path | None:
 
 def is_yolo_line(words: list[str]) -> bool:
     """Returns whether a line is a class number and a box or polygon."""
-    try:
-        index, *values = finite_numbers(words)
-    except ValueError:
-        return False
-    return index == int(index) >= 0 and _is_shape(values)
+    numbers = label_numbers(words)
+    return _is_shape(numbers[1:]) and numbers[0] == int(numbers[0]) >= 0
 
 
 def _is_shape(values: Sequence[float]) -> bool:
@@ -97,12 +94,10 @@ def read_yolo_labels(folder: Path, names: Path | None) -> ImageLabels:
 def _yolo_label(
     where: str, words: list[str], classes: Sequence[str] | None, size_px: tuple[int, int]
 ) -> Label:
-    try:
-        index, *values = finite_numbers(words)
-        if not _is_shape(values):
-            raise ValueError
-    except ValueError as error:
-        raise damaged(where, "is not 'class cx cy w h' or 'class x1 y1 ... xn yn'") from error
+    numbers = label_numbers(words)
+    if not _is_shape(numbers[1:]):
+        raise damaged(where, "is not 'class cx cy w h' or 'class x1 y1 ... xn yn'")
+    index, *values = numbers
     if index != int(index) or index < 0 or (classes is not None and index >= len(classes)):
         known = "" if classes is None else f" but there are {len(classes)} names"
         raise damaged(where, f"has class {index:g}{known}")
