@@ -19,7 +19,7 @@ from skyproof.detectors.detector import Detections, TrainableDetector
 from skyproof.errors import ConfigurationError, ImageryError, RunFolderError, StoredFileError
 from skyproof.files import finished_folder
 from skyproof.imagery.clearing.clear import clear_backgrounds, reject_tiles
-from skyproof.imagery.clearing.sheet import ContactSheet, SheetRow
+from skyproof.imagery.clearing.sheet import SheetRow, write_figure, write_page
 from skyproof.imagery.clearing.vehicle_masks import VehicleFinder, grown_to_what_is_seen
 from skyproof.scenes.background_index import BackgroundTile, write_index
 from skyproof.scenes.backgrounds import BackgroundSet
@@ -434,11 +434,12 @@ def test_the_sheet_shows_changed_tiles_before_and_after(tmp_path):
 def test_on_the_sheet_a_tile_that_was_left_out_cannot_be_rejected_and_names_are_escaped(tmp_path):
     pixels = torch.zeros(3, 8, 8, dtype=torch.uint8)
     mask = torch.zeros(8, 8, dtype=torch.bool)
-    with ContactSheet(tmp_path / "sheets") as sheet:
-        for name, kept in (("<b>&'", True), ("out", False)):
-            sheet.add(
-                SheetRow(name, "what was done", kept, pixels, pixels, mask, torch.zeros(0, 4))
-            )
+    rows = [
+        SheetRow(name, "what was done", kept, pixels, pixels, mask, torch.zeros(0, 4))
+        for name, kept in (("<b>&'", True), ("out", False))
+    ]
+    figures = [write_figure(tmp_path / "sheets", number, row) for number, row in enumerate(rows)]
+    write_page(tmp_path / "sheets", figures)
     text = (tmp_path / "sheets" / "index.html").read_text()
     assert 'value="&lt;b&gt;&amp;&#x27;">' in text
     assert 'value="out" disabled>' in text

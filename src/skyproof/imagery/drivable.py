@@ -69,7 +69,9 @@ def drivable_directions(
     opened = ndimage.binary_opening(plain & like)
     free: _Mask = ndimage.binary_closing(opened) | opened
     if vehicles is not None:
-        free = _touching(free, boxes, cell_m)
+        # The connected areas that reach to a vehicle.
+        beside = free & _around(free.shape, boxes, TOUCHING_M / cell_m)
+        free = ndimage.binary_propagation(beside, mask=free)
     heading_rad, sure = _heading_rad(grey, cell_m)
     heading_rad, sure = _alongside(heading_rad, sure, stood, cell_px, cell_m)
     directions = np.where(free & sure, direction_values(heading_rad), 0).astype(np.uint8)
@@ -123,13 +125,6 @@ def _like_beside(colour: _Grid, plain: _Mask, boxes: _Grid, cell_m: float) -> _M
         alike = np.all(np.abs(chroma - np.array(shares)) < CHROMA_NEAR, axis=2)
         like |= alike & (np.abs(brightness - level) < BRIGHTNESS_NEAR * level)
     return like
-
-
-def _touching(free: _Mask, boxes: _Grid, cell_m: float) -> _Mask:
-    """Keeps the connected areas that reach to a vehicle."""
-    areas, _ = ndimage.label(free)
-    touched = np.unique(areas[_around(free.shape, boxes, TOUCHING_M / cell_m)])
-    return np.isin(areas, touched[touched > 0])
 
 
 def _around(size: tuple[int, ...], boxes: _Grid, margin: float) -> _Mask:

@@ -27,7 +27,7 @@ from skyproof.imagery.clearing.labelled import (
     labelled_vehicles,
     read_labels_of_tiles,
 )
-from skyproof.imagery.clearing.sheet import ContactSheet, SheetRow
+from skyproof.imagery.clearing.sheet import SheetRow, write_figure, write_page
 from skyproof.imagery.clearing.sunlight import lights_record, measured_lights
 from skyproof.imagery.clearing.vehicle_masks import (
     Shadow,
@@ -168,15 +168,17 @@ def clear_backgrounds(
         return row, shown, _stored(clearing, lit, image, one)
 
     rows, kept = [], []
-    with ContactSheet(out / "sheets") as sheet, _by_tile(clearing, clear, tiles) as cleared:
+    figures: list[str] = []
+    with _by_tile(clearing, clear, tiles) as cleared:
         for done, (row, shown, stored) in enumerate(cleared, start=1):
             rows.append(row)
             if shown is not None:
-                sheet.add(shown)
+                figures.append(write_figure(out / "sheets", len(figures) + 1, shown))
             if stored is not None:
                 kept.append(stored)
             if progress is not None:
                 progress("clear", done, len(tiles))
+    write_page(out / "sheets", figures)
     record = _record(clearing, rows, shadows) | lights_record(lights)
     if not kept:
         reasons = ", ".join(f"{count} {why}" for why, count in record["totals"]["left_out"].items())

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from skimage.filters import threshold_otsu
 from torch import Tensor
 
-from skyproof.datasets.pictures import Pixels
+from skyproof.datasets.pictures import Pixels, window_around
 from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.places import RemovedVehicle
@@ -69,12 +69,11 @@ def _light(
     """Returns the linear pixels of a share of a vehicle's rectangle, `[n, 3]`."""
     if place.heading_rad is None or place.length_m is None or place.width_m is None:
         return np.zeros((0, 3))
-    reach_px = place.length_m / gsd_m
-    top, left = (max(0, int(at - reach_px)) for at in (place.y_px, place.x_px))
-    bottom, right = int(place.y_px + reach_px) + 1, int(place.x_px + reach_px) + 1
-    part = image[:, top:bottom, left:right]
-    rows, columns = np.indices(tuple(part.shape[1:])) + 0.5
-    x, y = columns + left - place.x_px, rows + top - place.y_px
+    middle = (place.x_px, place.y_px, place.x_px, place.y_px)
+    near = window_around(middle, place.length_m / gsd_m, image.shape[1:])
+    part = image[:, *near]
+    rows, columns = np.mgrid[near] + 0.5
+    x, y = columns - place.x_px, rows - place.y_px
     cosine, sine = np.cos(place.heading_rad), np.sin(place.heading_rad)
     inside = np.abs(cosine * x - sine * y) < along * place.length_m / gsd_m / 2
     inside &= np.abs(sine * x + cosine * y) < across * place.width_m / gsd_m / 2

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from skyproof.datasets.coco import ANNOTATIONS, AnnotationRow, read_annotations
-from skyproof.datasets.pictures import Boxes, Pixels
+from skyproof.datasets.pictures import Boxes, Pixels, window_around
 from skyproof.imagery.labels.label import Point
 from skyproof.scenes.places import HeadingFrom, RemovedVehicle
 from skyproof.scenes.splits import SPLITS
@@ -182,17 +182,13 @@ def _edges(
     It also returns the change across each rectangle's outline, relative to the change in the box.
     """
     left, top, right, bottom = box
-    margin_px = 1.2 / gsd_m
-    rows = slice(max(0, int(top - margin_px)), math.ceil(bottom + margin_px))
-    columns = slice(max(0, int(left - margin_px)), math.ceil(right + margin_px))
+    rows, columns = window_around((left, top, right, bottom), 1.2 / gsd_m, image.shape[1:])
     part = image[:, rows, columns].numpy().astype(np.float64) / 255
     part = ndimage.gaussian_filter(part, (0, 0.7, 0.7))
     down, across = ndimage.sobel(part, 1) / 8, ndimage.sobel(part, 2) / 8
     xx, yy, xy = (across**2).sum(0), (down**2).sum(0), (across * down).sum(0)
-    within = (
-        slice(max(0, int(top) - rows.start), max(1, math.ceil(bottom) - rows.start)),
-        slice(max(0, int(left) - columns.start), max(1, math.ceil(right) - columns.start)),
-    )
+    inner = (left - columns.start, top - rows.start, right - columns.start, bottom - rows.start)
+    within = window_around(inner, 0.0, part.shape[1:])
     usual = math.sqrt(float((xx + yy)[within].mean())) + 1e-6
     # Four times the angle makes along and across the same. Weak lines count, too.
     turned = (xx - yy + 2j * xy)[within]

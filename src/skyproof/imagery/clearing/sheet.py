@@ -1,6 +1,7 @@
 """Draws a contact sheet of every changed tile, before and after, to inspect and reject."""
 
 import html
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -34,33 +35,23 @@ class SheetRow:
     remaining: Boxes
 
 
-class ContactSheet:
-    """Writes a picture of every tile, and `index.html` if the block ends without an error."""
+def write_figure(folder: Path, number: int, row: SheetRow) -> str:
+    """Writes the picture of a tile, and returns the tile's part of the page."""
+    picture = f"{number:05d}.png"
+    with write_beside(folder / picture) as temporary:
+        _draw_row(row).save(temporary, compress_level=3)
+    tile, caption = (html.escape(text, quote=True) for text in (row.tile, row.caption))
+    disabled = "" if row.kept else " disabled"
+    return (
+        f'<figure><label><input type="checkbox" value="{tile}"{disabled}> <b>{tile}</b> '
+        f'{caption}<img src="{picture}" alt="{tile}: {caption}" loading="lazy"></label></figure>'
+    )
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = Path(folder)
-        self._figures: list[str] = []
 
-    def __enter__(self) -> "ContactSheet":
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is None:
-            page = _PAGE.read_text(encoding="utf-8").replace("{figures}", "\n".join(self._figures))
-            write_bytes(self.folder / "index.html", page.encode())
-
-    def add(self, row: SheetRow) -> None:
-        """Adds a tile, and writes its picture at once."""
-        picture = f"{len(self._figures) + 1:05d}.png"
-        with write_beside(self.folder / picture) as temporary:
-            _draw_row(row).save(temporary, compress_level=3)
-        tile, caption = (html.escape(text, quote=True) for text in (row.tile, row.caption))
-        disabled = "" if row.kept else " disabled"
-        self._figures.append(
-            f'<figure><label><input type="checkbox" value="{tile}"{disabled}> <b>{tile}</b> '
-            f'{caption}<img src="{picture}" alt="{tile}: {caption}" loading="lazy"></label>'
-            "</figure>"
-        )
+def write_page(folder: Path, figures: Sequence[str]) -> None:
+    """Writes `index.html`."""
+    page = _PAGE.read_text(encoding="utf-8").replace("{figures}", "\n".join(figures))
+    write_bytes(folder / "index.html", page.encode())
 
 
 def _draw_row(row: SheetRow) -> Image.Image:
