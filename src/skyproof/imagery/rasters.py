@@ -6,6 +6,7 @@ read.
 
 import os
 import re
+import warnings
 import xml.etree.ElementTree as ElementTree
 from contextlib import suppress
 from pathlib import Path
@@ -13,7 +14,7 @@ from pathlib import Path
 import rasterio
 from affine import Affine
 from rasterio._err import CPLE_BaseError
-from rasterio.errors import RasterioIOError
+from rasterio.errors import NotGeoreferencedWarning, RasterioIOError
 from rasterio.io import DatasetReader
 
 from skyproof.errors import ImageryError, SkyproofError
@@ -74,11 +75,12 @@ def open_raster(path: Path) -> DatasetReader:
     """
     path = Path(path)
     refuse_special(path, "give image files", error=ImageryError)
-    if path.suffix.lower() != ".vrt":
-        return _limited(rasterio.open(path, driver=_driver(path)), path)
-    _check_vrt(path, path.resolve().parent, depth=1)
-    with rasterio.Env(GDAL_VRT_ENABLE_PYTHON="NO"):
-        return _limited(rasterio.open(path, driver="VRT"), path)
+    driver = "VRT" if path.suffix.lower() == ".vrt" else _driver(path)
+    if driver == "VRT":
+        _check_vrt(path, path.resolve().parent, depth=1)
+    with rasterio.Env(GDAL_VRT_ENABLE_PYTHON="NO"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        return _limited(rasterio.open(path, driver=driver), path)
 
 
 def orientation_of(dataset: DatasetReader, path: Path) -> int:

@@ -1,10 +1,9 @@
 """Collects labels in pixels of images, for every form; finds the images, reads the lines."""
 
-import warnings
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.errors import RasterioError
 
 from skyproof.errors import ImageryError
 from skyproof.files import refuse_special
@@ -138,10 +137,8 @@ def image_of(text: Path) -> Path | None:
 
 def image_size_px(path: Path) -> tuple[int, int]:
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with open_raster(path) as dataset:
-                return upright_size_px(dataset, orientation_of(dataset, path))
+        with open_raster(path) as dataset:
+            return upright_size_px(dataset, orientation_of(dataset, path))
     except (RasterioError, OSError, ValueError) as error:
         raise ImageryError(
             f"{path} cannot be read as an image; replace it, or leave it out."

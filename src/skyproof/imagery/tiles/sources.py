@@ -1,7 +1,6 @@
 """Inspects orthophotos: their bands, the range of their values, their place."""
 
 import os
-import warnings
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -15,7 +14,7 @@ from affine import Affine
 from numpy.typing import NDArray
 from rasterio._err import CPLE_BaseError
 from rasterio.enums import ColorInterp, MaskFlags
-from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.errors import RasterioError
 from rasterio.io import DatasetReader
 from rasterio.windows import Window
 
@@ -170,14 +169,12 @@ class SourceReader:
     def reading(self, path: Path) -> Iterator[DatasetReader]:
         """Yields the opened image; a failure while it is read becomes an ImageryError."""
         try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", NotGeoreferencedWarning)
-                if path not in self._open:
-                    self._open[path] = open_raster(path)
-                self._open.move_to_end(path)
-                while len(self._open) > OPEN_AT_ONCE:
-                    self._open.popitem(last=False)[1].close()
-                yield self._open[path]
+            if path not in self._open:
+                self._open[path] = open_raster(path)
+            self._open.move_to_end(path)
+            while len(self._open) > OPEN_AT_ONCE:
+                self._open.popitem(last=False)[1].close()
+            yield self._open[path]
         except (RasterioError, CPLE_BaseError, OSError, ValueError) as error:
             reason = " ".join(str(error.__cause__ or error).split())
             raise ImageryError(
