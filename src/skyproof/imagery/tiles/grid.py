@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from affine import Affine
 from rasterio.crs import CRS
-from scipy.sparse.csgraph import connected_components
+from scipy.cluster.hierarchy import DisjointSet
 
 from skyproof.errors import ImageryError
 from skyproof.imagery.notes import ImageNote
@@ -323,18 +323,14 @@ def _groups(sources: Sequence[Source]) -> list[list[int]]:
     # Rounding leaves gaps between map sheets that lie side by side.
     gap = 1e-5
     touching = (low[:, None] <= high[None] + gap) & (low[None] <= high[:, None] + gap)
-    pairs = np.eye(len(sources), dtype=bool)
-    pairs[np.ix_(placed, placed)] |= touching.all(2)
-    planes = [source.georeference.plane for source in sources]
-    first_of = {plane: i for i, plane in reversed([*enumerate(planes)])}
-    for i, plane in enumerate(planes):
-        if plane is not None:
-            pairs[i, first_of[plane]] = True
-    _, group_of = connected_components(pairs, directed=False)
-    groups: dict[int, list[int]] = {}
-    for i, group in enumerate(group_of):
-        groups.setdefault(group, []).append(i)
-    return list(groups.values())
+    groups = DisjointSet(range(len(sources)))
+    for one, other in np.argwhere(touching.all(2)):
+        groups.merge(placed[one], placed[other])
+    first_of: dict[str, int] = {}
+    for i, source in enumerate(sources):
+        if source.georeference.plane is not None:
+            groups.merge(first_of.setdefault(source.georeference.plane, i), i)
+    return [sorted(group) for group in groups.subsets()]
 
 
 def cells_of(grid: Grid) -> list[Cell]:

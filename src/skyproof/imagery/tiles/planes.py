@@ -16,6 +16,7 @@ from PIL import Image, ImageDraw
 from rasterio.enums import Resampling
 from rasterio.io import DatasetReader
 from rasterio.windows import Window
+from scipy.cluster.hierarchy import DisjointSet
 from scipy.sparse import coo_array
 from scipy.sparse.linalg import spsolve
 
@@ -24,7 +25,7 @@ from skyproof.imagery.rasters import is_faster_whole
 from skyproof.imagery.settings import SourceSettings
 from skyproof.imagery.tiles import shared_ground
 from skyproof.imagery.tiles.georeference import COARSEST_GSD_M, Georeference
-from skyproof.imagery.tiles.shared_ground import CoarseView, PhotographPair, find_pairs, groups_of
+from skyproof.imagery.tiles.shared_ground import CoarseView, PhotographPair, find_pairs
 from skyproof.imagery.tiles.sources import (
     Source,
     SourceReader,
@@ -54,23 +55,16 @@ def inspect_imagery(
     labels: Labels | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Source]:
-    """Finds out how to read images (`inspect_sources`), and which show the same ground."""
-    return share_planes(inspect_sources(paths, settings), labels, progress)
+    """Finds out how to read images (`inspect_sources`), and which show the same ground.
 
-
-def share_planes(
-    sources: Sequence[Source],
-    labels: Labels | None = None,
-    progress: Callable[[int, int], None] | None = None,
-) -> list[Source]:
-    """Places sources without georeference in one plane if they show the same ground.
-
-    Labelled objects do not count as ground: vehicles look alike, and move. With many sources,
-    `progress` gets (steps done, all): each is read, then compared with the others.
+    Those without georeference that do are placed in one plane. Labelled objects do not count as
+    ground: vehicles look alike, and move. With many images, `progress` gets (steps done, all): each
+    is read, then compared with the others.
     """
+    sources = inspect_sources(paths, settings)
     alone = [i for i, source in enumerate(sources) if source.georeference.crs is None]
     if len(alone) < 2:
-        return list(sources)
+        return sources
     progress = progress if len(alone) >= MANY else None
     usual_m = median(sources[i].smaller_side_m for i in alone) / COARSE_PX
     views = []
@@ -174,7 +168,10 @@ def _poses(count: int, pairs: Sequence[PhotographPair]) -> tuple[list[_Pose], li
     Pairs that contradict the others are dropped, the worst first.
     """
     while True:
-        groups = [*groups_of(count, pairs)]
+        joined = DisjointSet(range(count))
+        for pair in pairs:
+            joined.merge(pair.first, pair.second)
+        groups = [sorted(numbers) for numbers in joined.subsets()]
         poses = _solve(count, pairs, {group[0] for group in groups})
         if not pairs:
             break

@@ -8,8 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy import fft, ndimage
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
+from scipy.cluster.hierarchy import DisjointSet
 
 from skyproof.imagery.tiles.georeference import DEGREES, distances_m
 from skyproof.imagery.tiles.keypoints import Complex, Keypoints, Numbers, find_keypoints
@@ -103,13 +102,13 @@ def find_pairs(
 
     Those with most matches come first. `progress` gets (photographs done, all).
     """
-    group = list(range(len(views)))
+    joined = DisjointSet(range(len(views)))
     degree = [0] * len(views)
     found: list[PhotographPair] = []
     for matches in sorted(_matches(views, progress), key=lambda each: -len(each.points)):
         first, second = matches.first, matches.second
-        known = group[first] == group[second]
-        if known and min(degree[first], degree[second]) >= ENOUGH_PAIRS:
+        enough = min(degree[first], degree[second]) >= ENOUGH_PAIRS
+        if enough and joined.connected(first, second):
             continue
         if _far_apart(views[first], views[second]):
             continue
@@ -118,8 +117,7 @@ def find_pairs(
             found.append(pair)
             degree[first] += 1
             degree[second] += 1
-            old, new = group[second], group[first]
-            group = [new if each == old else each for each in group]
+            joined.merge(first, second)
     return found
 
 
@@ -269,12 +267,3 @@ def _overlap_agrees(one: CoarseView, two: CoarseView, turn: complex, shift: comp
     here = correlation[distance_px <= 2].max()
     elsewhere = correlation[distance_px > ELSEWHERE_PX].max()
     return here >= LEAST_CORRELATION and elsewhere <= MOST_ELSEWHERE * here
-
-
-def groups_of(count: int, pairs: Sequence[PhotographPair]) -> Iterator[list[int]]:
-    """Yields the numbers of photographs that pairs join, in order, each in one group."""
-    ends = [each.first for each in pairs], [each.second for each in pairs]
-    joined = coo_array((np.ones(len(pairs)), ends), shape=(count, count))
-    number, group_of = connected_components(joined, directed=False)
-    for group in range(number):
-        yield np.flatnonzero(group_of == group).tolist()

@@ -107,7 +107,7 @@ def tile_imagery(
     them. The ground is cut into cells (`lay_grids`), a cell becomes a tile if sources show 98 % of
     it (`read_cell`), and blocks of cells go to the splits (`assign_splits`). Every place lies in
     one cell, so in one split, if images without georeference that show it are recognised
-    (`share_planes`). Vehicles are later drawn as sharp (`measure_sensor`) and as bright
+    (`inspect_imagery`). Vehicles are later drawn as sharp (`measure_sensor`) and as bright
     (`measure_exposure`) as the tiles. `labels` come with their vehicle classes, `sources` are the
     images of `paths` if they were inspected before, and `progress` gets (cells done, cells in all).
 
