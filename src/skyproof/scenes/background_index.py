@@ -23,6 +23,7 @@ from skyproof.scenes.splits import Split
 
 _INDEX = "index.json"
 REMEDY = "copy the whole folder again, or cut the backgrounds again"
+MapKind = Literal["drivable", "shade", "cover"]
 _Offset = Annotated[int, Meta(ge=-(10**12), le=10**12)]
 
 
@@ -114,7 +115,7 @@ def save_tile(folder: Path, tile: BackgroundTile, image: UInt8[Tensor, "3 H W"])
 
 def save_map(
     folder: Path,
-    kind: Literal["drivable", "shade", "cover"],
+    kind: MapKind,
     tile_id: str,
     values: UInt8[np.ndarray, "H W"],
 ) -> str | None:

@@ -2,7 +2,7 @@
 
 import math
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from threading import Lock
 
@@ -13,7 +13,7 @@ from torch import Tensor
 
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.pictures import read_pixels
-from skyproof.scenes.background_index import REMEDY, BackgroundTile, read_index
+from skyproof.scenes.background_index import REMEDY, BackgroundTile, MapKind, read_index
 from skyproof.scenes.light import Light
 from skyproof.scenes.places import DIRECTIONS
 from skyproof.scenes.scene import BackgroundWindow
@@ -78,37 +78,32 @@ class BackgroundSet:
     def pixels(self, tile_id: str) -> UInt8[Tensor, "3 H W"]:
         """Returns a tile in sRGB bytes; StoredFileError if its file is missing or damaged."""
         tile = self.tile(tile_id)
-        return self._kept(tile.file, lambda: self._decode(tile, tile.file))
+        return self._kept(tile, tile.file)
 
     def directions(self, tile_id: str) -> UInt8[Tensor, "H W"] | None:
         """Returns a tile's map of drivable ground (`skyproof.scenes.directions`), if it has one."""
-        file = self.tile(tile_id).drivable
-        directions = self._map(tile_id, file)
+        directions = self.map_of(tile_id, "drivable")
         if directions is not None and int(directions.max()) > DIRECTIONS:
             raise StoredFileError(
-                f"{self.folder}/{file} holds values above {DIRECTIONS}, so it is no map of "
-                f"drivable ground; {REMEDY}."
+                f"{self.folder}/{self.tile(tile_id).drivable} holds values above {DIRECTIONS}, so "
+                f"it is no map of drivable ground; {REMEDY}."
             )
         return directions
 
-    def shade(self, tile_id: str) -> UInt8[Tensor, "H W"] | None:
-        """Returns a tile's map of shadows (`BackgroundTile.shade`), if it has one."""
-        return self._map(tile_id, self.tile(tile_id).shade)
+    def map_of(self, tile_id: str, kind: MapKind) -> UInt8[Tensor, "H W"] | None:
+        """Returns one of a tile's maps (see `BackgroundTile`), if it has it."""
+        tile = self.tile(tile_id)
+        file = getattr(tile, kind)
+        return None if file is None else self._kept(tile, file)
 
-    def cover(self, tile_id: str) -> UInt8[Tensor, "H W"] | None:
-        """Returns a tile's map of cover (`BackgroundTile.cover`), if it has one."""
-        return self._map(tile_id, self.tile(tile_id).cover)
-
-    def _map(self, tile_id: str, file: str | None) -> UInt8[Tensor, "H W"] | None:
-        if file is None:
-            return None
-        return self._kept(file, lambda: self._decode(self.tile(tile_id), file)[0].clone())
-
-    def _kept(self, file: str, decode: Callable[[], Tensor]) -> Tensor:
-        """Returns the decoded content of a file, which is kept while memory allows."""
+    def _kept(self, tile: BackgroundTile, file: str) -> Tensor:
+        """Decodes a tile's picture `[3, H, W]`, or map `[H, W]`, and keeps it if memory allows."""
         with self._decoding:
             if file not in self._decoded:
-                self._decoded[file] = decode()
+                size_px = tile.width_px, tile.height_px
+                array = read_pixels(self.folder / file, REMEDY, size_px=size_px)
+                picture = torch.from_numpy(array).permute(2, 0, 1).contiguous()
+                self._decoded[file] = picture if file == tile.file else picture[0].clone()
             self._decoded.move_to_end(file)
             pixels = self._decoded[file]
             kept = self._decoded.values()
@@ -116,10 +111,6 @@ class BackgroundSet:
             while len(kept) > 1 and sum(each.numel() for each in kept) > CACHE_BYTES:
                 self._decoded.popitem(last=False)
         return pixels
-
-    def _decode(self, tile: BackgroundTile, file: str) -> UInt8[Tensor, "3 H W"]:
-        array = read_pixels(self.folder / file, REMEDY, size_px=(tile.width_px, tile.height_px))
-        return torch.from_numpy(array).permute(2, 0, 1).contiguous()
 
     def window(self, window: BackgroundWindow, size_px: int) -> Float[Tensor, "3 size_px size_px"]:
         """Cuts a square window, sRGB in [0, 1]: an exact copy on whole pixels, else bilinear.
@@ -132,7 +123,7 @@ class BackgroundSet:
         self, window: BackgroundWindow, size_px: int
     ) -> Float[Tensor, "size_px size_px"] | None:
         """Cuts the map of cover, in [0, 1], as `window` cuts the photograph; None without a map."""
-        cover = self.cover(window.tile)
+        cover = self.map_of(window.tile, "cover")
         return None if cover is None else self._cut(cover[None], window, size_px)[0]
 
     def _cut(
@@ -227,14 +218,20 @@ class BackgroundSet:
         return BackgroundWindow(tile.id, x_px, y_px, rotation_rad)
 
 
-def on_tile(
-    window: BackgroundWindow, east_px: Float[Tensor, "*S"], north_px: Float[Tensor, "*S"]
-) -> tuple[Float[Tensor, "*S"], Float[Tensor, "*S"]]:
-    """Returns column and row on the tile of points given in pixels from the middle of a scene."""
+def read_map(
+    values: UInt8[Tensor, "H W"],
+    window: BackgroundWindow,
+    east_px: Float[Tensor, " P"],
+    north_px: Float[Tensor, " P"],
+) -> UInt8[Tensor, " P"]:
+    """Reads a map of a window's tile at points given in pixels from the middle of a scene."""
     cosine, sine = math.cos(window.rotation_rad), math.sin(window.rotation_rad)
     column = window.centre_x_px + cosine * east_px - sine * north_px
     row = window.centre_y_px - sine * east_px - cosine * north_px
-    return column, row
+    return values[
+        row.floor().long().clamp(0, values.shape[0] - 1),
+        column.floor().long().clamp(0, values.shape[1] - 1),
+    ]
 
 
 def room_to_turn_rad(size_px: int, side_px: int) -> float:

@@ -9,7 +9,7 @@ import torch
 
 from skyproof.errors import ConfigurationError
 from skyproof.scenes.background_index import BackgroundTile
-from skyproof.scenes.backgrounds import BackgroundSet, on_tile
+from skyproof.scenes.backgrounds import BackgroundSet, read_map
 from skyproof.scenes.places import RemovedVehicle
 from skyproof.scenes.scene import BackgroundWindow, Placement
 from skyproof.scenes.settings import SceneSettings
@@ -136,11 +136,7 @@ def _drivable_places(draw: SceneDraw, window: BackgroundWindow) -> list[Place]:
     if directions is None:
         return []
     x_m, y_m = ((2 * points - 1) * half_m).unbind(1)
-    column, row = on_tile(window, x_m / backgrounds.gsd_m, y_m / backgrounds.gsd_m)
-    values = directions[
-        row.floor().long().clamp(0, directions.shape[0] - 1),
-        column.floor().long().clamp(0, directions.shape[1] - 1),
-    ]
+    values = read_map(directions, window, x_m / backgrounds.gsd_m, y_m / backgrounds.gsd_m)
     hits = values.nonzero().flatten()[:_POINTS_USED]
     found = zip(x_m[hits].tolist(), y_m[hits].tolist(), values[hits].tolist(), strict=True)
     return [Place(x, y, math.radians(value - 1) - window.rotation_rad) for x, y, value in found]

@@ -5,10 +5,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import torch
-from jaxtyping import Float, UInt8
-from torch import Tensor
 
-from skyproof.scenes.backgrounds import BackgroundSet, on_tile
+from skyproof.scenes.backgrounds import BackgroundSet, read_map
 from skyproof.scenes.scene import BackgroundWindow, Placement
 
 _ALONG, _ACROSS = 9, 5
@@ -62,8 +60,8 @@ def standing(
     If crowns and roofs cover less than `on_top_from` of its footprint, a vehicle stands beneath
     them, and otherwise on top of them, because uniform places put vehicles on anything.
     """
-    shade = backgrounds.shade(window.tile) if shadows else None
-    cover = backgrounds.cover(window.tile)
+    shade = backgrounds.map_of(window.tile, "shade") if shadows else None
+    cover = backgrounds.map_of(window.tile, "cover")
     if not len(placements) or (shade is None and cover is None):
         return tuple(placements)
     along = (torch.arange(_ALONG, dtype=torch.float64) + 0.5) / _ALONG - 0.5
@@ -73,23 +71,15 @@ def standing(
     for placement in placements:
         x_m, y_m, heading_rad, length_m, width_m = footprint(placement, vehicle_sizes_m, 0.0)
         cosine, sine = math.cos(heading_rad), math.sin(heading_rad)
-        east_m = x_m + cosine * length_m * along - sine * width_m * across
-        north_m = y_m + sine * length_m * along + cosine * width_m * across
-        column, row = on_tile(window, east_m / backgrounds.gsd_m, north_m / backgrounds.gsd_m)
-        covered = _mean(cover, row, column)
+        east_px = (x_m + cosine * length_m * along - sine * width_m * across) / backgrounds.gsd_m
+        north_px = (y_m + sine * length_m * along + cosine * width_m * across) / backgrounds.gsd_m
+        shares = []
+        for values in (shade, cover):
+            mean = 0.0
+            if values is not None:
+                mean = float(read_map(values, window, east_px, north_px).double().mean()) / 255
+            shares.append(round(mean, 3))
+        shaded, covered = shares
         beneath = covered if covered < on_top_from else 0.0
-        found.append(replace(placement, shade=_mean(shade, row, column), covered=beneath))
+        found.append(replace(placement, shade=shaded, covered=beneath))
     return tuple(found)
-
-
-def _mean(
-    values: UInt8[Tensor, "H W"] | None, row: Float[Tensor, " P"], column: Float[Tensor, " P"]
-) -> float:
-    """Returns the mean of a map at some points, as a share; 0 without a map."""
-    if values is None:
-        return 0.0
-    at = values[
-        row.floor().long().clamp(0, values.shape[0] - 1),
-        column.floor().long().clamp(0, values.shape[1] - 1),
-    ]
-    return round(float(at.double().mean()) / 255, 3)

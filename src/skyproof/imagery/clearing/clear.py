@@ -270,8 +270,8 @@ def _stored(
     """Writes a cleared tile, with the places of its vehicles and a new map of drivable ground."""
     backgrounds, out = clearing.backgrounds, clearing.out
     save_tile(out, tile, image)
-    shade = backgrounds.shade(tile.id)
-    cover = backgrounds.cover(tile.id)
+    shade = backgrounds.map_of(tile.id, "shade")
+    cover = backgrounds.map_of(tile.id, "cover")
     directions = drivable_directions(image, backgrounds.gsd_m, found.vehicles, found.places)
     return replace(
         tile,
