@@ -11,7 +11,7 @@ from skyproof.detectors.card import DetectorCard
 from skyproof.detectors.detector import Detector
 from skyproof.measure import measure as room
 from skyproof.measure.views import SceneView
-from skyproof.scenes.weather import draw_weather
+from skyproof.scenes.weather import CONDITIONS
 
 
 def detector(threshold=0.5):
@@ -143,7 +143,7 @@ def test_false_alarms_are_unmatched_above_the_threshold_and_outside_ignore_regio
 
 def test_the_weather_of_the_scene_is_recorded(make_scene, make_detections):
     scene = make_scene("a", "t")
-    scenes = [scene, dataclasses.replace(scene, id="b", weather=draw_weather("low_sun", 0.5))]
+    scenes = [scene, dataclasses.replace(scene, id="b", weather=CONDITIONS["low_sun"](0.5))]
     nothing = [make_detections()] * 2
     outcomes = compare(scenes, [boxes((50, 50))] * 2, nothing, nothing)
     assert [outcome.condition for outcome in outcomes] == ["clear", "low_sun"]

@@ -13,7 +13,7 @@ from skyproof.geometry.colour import srgb_to_linear
 from skyproof.render.renderer import TorchRenderer, photographs
 from skyproof.render.settings import RenderSettings
 from skyproof.render.weather import AIRLIGHT, finish_images, jpeg, wet, wet_grounds
-from skyproof.scenes.weather import CONDITIONS, Weather, draw_weather
+from skyproof.scenes.weather import CONDITIONS, Weather
 from tests.render.bodies import PlainGround, rounded_box, scene, vehicles
 
 SHARP = RenderSettings(blur_sigma_px=0.0, noise=0.0)
@@ -144,7 +144,7 @@ def test_the_pictures_noise_is_not_that_of_its_vehicles():
 @pytest.mark.parametrize("condition", CONDITIONS)
 def test_a_clear_scene_keeps_its_bits_whatever_its_neighbours_in_the_batch(condition):
     renderer, batch = TorchRenderer(PlainGround(None)), vehicles(2, seed=2)
-    clear, other = scene((0.3, -0.2, 77.0)), under(draw_weather(condition, 0.9), (1.0, 0.5, 30.0))
+    clear, other = scene((0.3, -0.2, 77.0)), under(CONDITIONS[condition](0.9), (1.0, 0.5, 30.0))
     # A clear neighbour in the same place: windows are as large.
     usual = renderer([clear, dataclasses.replace(other, weather=Weather())], batch).image
     mixed = renderer([clear, other], batch).image
@@ -251,7 +251,7 @@ def test_every_condition_lets_gradients_reach_texture_and_vertices(condition):
         batch.vertices.clone().requires_grad_(),
     )
     batch = dataclasses.replace(batch, texture=texture, vertices=vertices)
-    image = TorchRenderer(PlainGround(0.4))([under(draw_weather(condition, 0.2))], batch).image
+    image = TorchRenderer(PlainGround(0.4))([under(CONDITIONS[condition](0.2))], batch).image
     image.square().sum().backward()
     for gradient in (texture.grad, vertices.grad):
         assert gradient.isfinite().all()

@@ -11,7 +11,6 @@ DIRECTIONS = 180
 """The highest value in a map of drivable ground; see `skyproof.scenes.directions`."""
 
 Places = Literal["uniform", "removed", "drivable"]
-"""Any place; the places of vehicles before the ground was cleared; drivable ground."""
 
 HeadingFrom = Literal["label", "picture"]
 """The heading comes from an oriented label, or from an estimate on the picture."""

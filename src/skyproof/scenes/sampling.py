@@ -13,7 +13,7 @@ from skyproof.scenes.placing import SceneDraw, place_vehicles
 from skyproof.scenes.scene import Camera, Placement, Scene, Sun
 from skyproof.scenes.settings import SceneSettings
 from skyproof.scenes.standing import Sizes, footprint, rectangles_overlap, standing
-from skyproof.scenes.weather import LOW_SUN_ELEVATION_RAD, draw_weather
+from skyproof.scenes.weather import CONDITIONS, LOW_SUN_ELEVATION_RAD
 
 TRIES = 2000
 
@@ -94,7 +94,8 @@ def _sample_scene(name: str, seed: int, draw: SceneDraw) -> Scene:
         # A low sun has the azimuth of the photograph's sun, but casts longer shadows.
         low = condition == "low_sun"
         sun = replace(photographed, elevation_rad=sun.elevation_rad) if low else photographed
-    return Scene(name, window, camera, sun, placements, seed, draw_weather(condition, strength))
+    weather = CONDITIONS[condition](strength)
+    return Scene(name, window, camera, sun, placements, seed, weather)
 
 
 def _sun_of(known: SunEstimate, rotation_rad: float, *, generator: torch.Generator) -> Sun:

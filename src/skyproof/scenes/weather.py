@@ -7,7 +7,6 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from skyproof.errors import ConfigurationError
 from skyproof.ranges import Fraction, Name, check_ranges
 
 LOW_SUN_ELEVATION_RAD = (math.radians(8), math.radians(20))
@@ -60,18 +59,10 @@ CONDITIONS: dict[str, Callable[[float], Weather]] = {
     "noise": lambda strength: Weather("noise", noise=_between(0.015, 0.05, strength)),
     "jpeg": lambda strength: Weather("jpeg", jpeg_quality=round(_between(60.0, 20.0, strength))),
 }
-"""For each condition, the weather at a strength from 0 to 1."""
+"""For each condition, the weather at a strength from 0 to 1 (section S7)."""
 
 MIXED_CONDITIONS = ("clear", "haze", "overcast", "exposure", "noise", "jpeg", "low_sun")
 """Conditions of training: all but rain, which was never tested on photographs."""
-
-
-def draw_weather(condition: str, strength: float) -> Weather:
-    """Returns the weather of one of `CONDITIONS` (section S7) at a strength from 0 to 1."""
-    if condition not in CONDITIONS:
-        known = ", ".join(CONDITIONS)
-        raise ConfigurationError(f"There is no condition {condition!r}; choose from {known}.")
-    return CONDITIONS[condition](strength)
 
 
 def _between(first: float, last: float, strength: float) -> float:
