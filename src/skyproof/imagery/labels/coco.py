@@ -10,7 +10,7 @@ from msgspec import Meta
 
 from skyproof.documents import parse_document, read_document
 from skyproof.errors import ImageryError
-from skyproof.imagery.labels.image_files import LabelledImages, damaged, upright_label
+from skyproof.imagery.labels.image_files import LabelledImages, damaged
 from skyproof.imagery.labels.label import Box, ImageLabels, Label, Point, outline_corners
 from skyproof.ranges import Coordinate
 
@@ -96,7 +96,7 @@ def read_coco_labels(path: Path) -> ImageLabels:
                 raise damaged(where, f"has a bbox of {len(row.bbox)} numbers, not 4")
             left, top, width, height = row.bbox
             box = (left, top, left + width, top + height)
-            label = upright_label(class_name, box, bool(ignore))
+            label = Label.upright(class_name, box, bool(ignore))
         else:
             corners = _outline(row.segmentation, images.sizes_px.get(name), where)
             label = Label(class_name, corners, bool(ignore))

@@ -8,7 +8,6 @@ from rasterio.errors import RasterioError
 from skyproof.errors import ImageryError
 from skyproof.files import refuse_special
 from skyproof.imagery.labels.label import (
-    Box,
     ImageLabels,
     Label,
     cut_to_image,
@@ -82,12 +81,6 @@ class LabelledImages:
 
 def damaged(where: str, what: str) -> ImageryError:
     return ImageryError(f"{where} {what}; correct it.")
-
-
-def upright_label(class_name: str, box: Box, ignore: bool = False) -> Label:
-    """Returns the label of a box, without size if a side comes before its opposite one."""
-    left, top, right, bottom = box
-    return Label.upright(class_name, (left, top, max(left, right), max(top, bottom)), ignore)
 
 
 def read_text(path: Path) -> str:

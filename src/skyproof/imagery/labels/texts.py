@@ -11,7 +11,6 @@ from skyproof.imagery.labels.image_files import (
     label_numbers,
     label_texts,
     text_lines,
-    upright_label,
 )
 from skyproof.imagery.labels.label import ImageLabels, Label
 
@@ -97,4 +96,4 @@ def _visdrone_label(where: str, words: list[str]) -> Label:
         what = f"has category {category:g} but VisDrone's are 0 to {len(_VISDRONE_CLASSES) - 1}"
         raise damaged(where, what)
     box = (left, top, left + width, top + height)
-    return upright_label(_VISDRONE_CLASSES[int(category)], box, ignore=score == 0 or category == 0)
+    return Label.upright(_VISDRONE_CLASSES[int(category)], box, ignore=score == 0 or category == 0)

@@ -13,7 +13,6 @@ from skyproof.imagery.labels.image_files import (
     label_numbers,
     label_texts,
     read_text,
-    upright_label,
 )
 from skyproof.imagery.labels.label import ImageLabels, Label
 from skyproof.imagery.rasters import parsed_xml
@@ -76,4 +75,4 @@ def _label(row: Element, where: str) -> Label:
     if difficult not in ("0", "1", "false", "true"):
         raise damaged(where, f"is difficult as {difficult[:40]!r}, not 0 or 1")
     box = (left - 1, top - 1, right, bottom)
-    return upright_label(name, box, difficult in ("1", "true"))
+    return Label.upright(name, box, difficult in ("1", "true"))

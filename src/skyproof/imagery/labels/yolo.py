@@ -17,7 +17,6 @@ from skyproof.imagery.labels.image_files import (
     label_texts,
     read_text,
     text_lines,
-    upright_label,
 )
 from skyproof.imagery.labels.label import ImageLabels, Label, outline_corners
 
@@ -105,7 +104,7 @@ def _yolo_label(
     if len(values) == 4:
         x, y, width, height = values
         box = (x - width / 2, y - height / 2, x + width / 2, y + height / 2)
-        shares = upright_label("", box).corners
+        shares = Label.upright("", box).corners
     else:
         shares = outline_corners([*zip(values[::2], values[1::2], strict=True)])
     return Label(class_name, tuple((x * size_px[0], y * size_px[1]) for x, y in shares))
