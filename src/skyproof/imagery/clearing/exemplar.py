@@ -138,8 +138,9 @@ def _around(flags: Flags, margin_px: int) -> tuple[slice, slice]:
 
 def _copy(window: _Window, shift: Shift) -> Array:
     """Fills the hole with the ground a shift away, levelled to fit the ring."""
-    seen = window.ring & _shifted(window.sound, shift)
-    copy = _shifted(window.values, shift)
+    back = (-shift[0], -shift[1])
+    seen = window.ring & np.roll(window.sound, back, (0, 1))
+    copy = np.roll(window.values, back, (0, 1))
     return _join(window, copy + np.median((window.values - copy)[seen], axis=0), _HOLD)
 
 
@@ -195,11 +196,6 @@ def _best_shift(window: _Window) -> tuple[float, Shift]:
     cost[:, abs(across) > _SEARCH_PX] = np.inf
     row, column = np.unravel_index(cost.argmin(), size)
     return float(cost[row, column]), (int(down[row]), int(across[column]))
-
-
-def _shifted(values: NDArray[Any], shift: Shift) -> NDArray[Any]:
-    """Returns the values `shift` away from each pixel; it wraps beyond the edges."""
-    return np.roll(values, (-shift[0], -shift[1]), axis=(0, 1))
 
 
 def _join(window: _Window, copy: Array, hold: float) -> Array:
