@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from astral import Observer
 from astral.sun import azimuth, elevation
-from jaxtyping import Float, UInt8
+from jaxtyping import UInt8
 from numpy.typing import NDArray
 from scipy import ndimage
 from torch import Tensor
@@ -21,7 +21,7 @@ from skyproof.errors import ImageryError
 from skyproof.geometry.colour import srgb_to_linear
 from skyproof.imagery.flights import by_flight
 from skyproof.imagery.notes import ImageNote
-from skyproof.imagery.tiles.georeference import DEGREES, to_reference_system
+from skyproof.imagery.tiles.georeference import DEGREES, Point, to_reference_system
 from skyproof.imagery.tiles.grid import Cell
 from skyproof.scenes.background_index import BackgroundTile
 from skyproof.scenes.backgrounds import BackgroundSet
@@ -148,7 +148,7 @@ def some_of(tiles: Sequence[Item]) -> Sequence[Item]:
 
 
 def ground_pixels(
-    image: Pixels, vehicles_px: Float[Tensor, "n 2"], *, gsd_m: float
+    image: Pixels, vehicles_px: Sequence[Point], *, gsd_m: float
 ) -> UInt8[Tensor, "P 3"]:
     """Takes every third pixel along and across, but none near a vehicle: its paint may glint."""
     sampled = image[:, ::STRIDE_PX, ::STRIDE_PX]
@@ -156,7 +156,7 @@ def ground_pixels(
     x = torch.arange(columns) * STRIDE_PX + 0.5
     y = torch.arange(rows) * STRIDE_PX + 0.5
     free = torch.ones(rows, columns, dtype=torch.bool)
-    for middle_x, middle_y in vehicles_px.tolist():
+    for middle_x, middle_y in vehicles_px:
         distance_px = torch.hypot(x[None] - middle_x, y[:, None] - middle_y)
         free &= distance_px * gsd_m > _VEHICLE_M
     return sampled[:, free].T
@@ -197,7 +197,7 @@ def lit_tiles(
     tiles: Sequence[BackgroundTile],
     gsd_m: float,
     suns: Mapping[str, SunEstimate],
-    vehicles_px: Mapping[str, Float[Tensor, "n 2"]],
+    vehicles_px: Mapping[str, Sequence[Point]],
     notes: list[str],
 ) -> list[BackgroundTile]:
     """Returns the tiles with the light that was measured on their flights, and with their suns."""
@@ -233,7 +233,7 @@ def lit_tiles(
 def exposure_of(
     backgrounds: BackgroundSet,
     tiles: Sequence[BackgroundTile],
-    vehicles_px: Mapping[str, Float[Tensor, "n 2"]],
+    vehicles_px: Mapping[str, Sequence[Point]],
 ) -> Light:
     """Measures the exposure of one flight on some of its tiles, away from vehicles."""
     return measure_exposure(

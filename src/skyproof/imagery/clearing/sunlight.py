@@ -7,7 +7,6 @@ from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from scipy import ndimage
 
@@ -73,8 +72,7 @@ def measured_lights(
     for of_flight in by_flight(tiles):
         change: dict[str, Any] = {}
         middles_px = {
-            tile.id: torch.tensor([(o.x_px, o.y_px) for o in vehicles[tile.id]]).reshape(-1, 2)
-            for tile in of_flight
+            tile.id: [(one.x_px, one.y_px) for one in vehicles[tile.id]] for tile in of_flight
         }
         # A flight may be too plain to measure, as it was when its tiles were cut.
         with suppress(ImageryError):
@@ -202,15 +200,11 @@ def estimate_sun(edges: Array) -> SunEstimate | None:
         towards = np.maximum(np.cos(normal_rad - _TURNS_RAD), 0)[:, None]
         miss_m = np.abs(end_m - _NO_SHADOW_M - towards * _LENGTHS_M)
         misses[row] += np.minimum(miss_m, _LARGEST_MISS_M)
-
-    def best(total: Array) -> tuple[int, int]:
-        turn, length = np.unravel_index(int(total.argmin()), total.shape)
-        return int(turn), int(length)
-
     total = misses.sum(0)
-    turn, length = best(total)
+    turn = total.min(1).argmin()
+    length = total[turn].argmin()
     draws = np.random.default_rng(0).integers(len(vehicles), size=(_RESAMPLES, len(vehicles)))
-    errors_rad = np.array([_TURNS_RAD[best(misses[draw].sum(0))[0]] for draw in draws])
+    errors_rad = np.array([_TURNS_RAD[misses[draw].sum(0).min(1).argmin()] for draw in draws])
     errors_rad = (errors_rad - _TURNS_RAD[turn] + math.pi) % (2 * math.pi) - math.pi
     azimuth_sd_rad = float(np.sqrt(np.mean(np.square(errors_rad))))
     if azimuth_sd_rad > _LARGEST_SD_RAD:

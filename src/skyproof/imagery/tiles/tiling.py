@@ -151,10 +151,7 @@ def tile_imagery(
     if placed is not None:
         _write_datasets(folder, tiles, annotations, settings.gsd_m)
     sensor = _sensor(folder, tiles, settings.gsd_m, notes)
-    middles_px = {
-        name: torch.tensor([row.centre_px for row in rows], dtype=torch.float32).reshape(-1, 2)
-        for name, rows in annotations.items()
-    }
+    middles_px = {name: [row.centre_px for row in rows] for name, rows in annotations.items()}
     tiles = lit_tiles(folder, tiles, settings.gsd_m, suns, middles_px, notes)
     record = TilingRecord(
         settings=_settings_record(settings, source_settings),
