@@ -44,15 +44,12 @@ def read_cell(cell: Cell, sources: Sequence[Source], reader: SourceReader) -> Ce
     those before it left. Empty pixels take the nearest colour, because a detector would learn from
     black edges. Overviews inside the files are not used, because many were point-sampled.
     """
-    parts: list[tuple[int, NDArray[np.uint8], NDArray[np.bool_]]] = []
-    for number in cell.sources:
-        pixels, valid = read_source(sources[number], cell, reader)
-        if valid.mean() >= FULL_SHARE:
-            return CellImage(_filled(pixels, valid), np.where(valid, number, -1).astype(np.int32))
-        parts.append((number, pixels, valid))
     pixels = np.zeros((3, cell.size_px, cell.size_px), np.uint8)
     owner = np.full((cell.size_px, cell.size_px), -1, np.int32)
-    for number, values, valid in parts:
+    for number in cell.sources:
+        values, valid = read_source(sources[number], cell, reader)
+        if valid.mean() >= FULL_SHARE:
+            return CellImage(_filled(values, valid), np.where(valid, number, -1).astype(np.int32))
         fresh = valid & (owner < 0)
         pixels[:, fresh], owner[fresh] = values[:, fresh], number
     valid = owner >= 0
