@@ -166,12 +166,8 @@ def _label_layers(place: Path | str, layers: Sequence[str], wanted: Sequence[str
         for name, info in infos.items()
         if info["features"] and _LABEL_GEOMETRY.search(info["geometry_type"] or "")
     ]
-    fields = {name: [*infos[name]["fields"]] for name in fitting}
-    telling = [
-        name
-        for name, its in fields.items()
-        if chosen_field(its, wanted) is not None or usual_fields(its)
-    ]
+    fields = {name: infos[name]["fields"] for name in fitting}
+    telling = [one for one, its in fields.items() if chosen_field(its, wanted) or usual_fields(its)]
     return telling if len(telling) == 1 else fitting
 
 
