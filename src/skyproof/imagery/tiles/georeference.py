@@ -15,7 +15,7 @@ from rasterio.warp import transform as transform_places
 
 from skyproof.errors import ImageryError
 from skyproof.imagery.exif import read_exif
-from skyproof.imagery.settings import names_a_system
+from skyproof.imagery.settings import SourceSettings, names_a_system
 
 COARSEST_GSD_M = 0.5
 FINEST_PLAUSIBLE_M = 0.005
@@ -76,18 +76,16 @@ def outline(width_px: int, height_px: int, steps: int = 8) -> list[Point]:
 
 
 def read_georeference(
-    dataset: DatasetReader,
-    path: Path,
-    source_gsd_m: float | None,
-    crs: str | None,
-    notes: list[str],
+    dataset: DatasetReader, path: Path, settings: SourceSettings, notes: list[str]
 ) -> Georeference:
     """Finds the place of an image, and adds assumptions to `notes`.
 
-    `crs` is the reference system of a transform (the file's or a world file's) that names none, or
-    a local one, which lies nowhere on Earth. Without any system an image has `source_gsd_m`, or the
-    transform's pixel size if plausible, in the local system's unit or in metres.
+    The system that is given is that of a transform (the file's or a world file's) that names none,
+    or a local one, which lies nowhere on Earth. Without any system an image has the metres per
+    pixel that are given, or the transform's pixel size if plausible, in the local system's unit or
+    in metres.
     """
+    source_gsd_m, crs = settings.gsd_m, settings.crs
     affine, system = dataset.transform, dataset.crs
     if affine.is_identity:
         affine, system = _by_control_points(dataset, path, source_gsd_m, notes)

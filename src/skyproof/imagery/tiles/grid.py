@@ -190,7 +190,7 @@ def lay_grids(sources: Sequence[Source], settings: TilingSettings, notes: list[s
     size, gsd_m = settings.size_px, settings.gsd_m
     wanted = len(settings.split_shares)
     while True:
-        grids = [_grid(*layout, size, settings.turning_px, gsd_m) for layout in layouts]
+        grids = [_grid(layout, size, settings.turning_px, gsd_m) for layout in layouts]
         few = sum(grid.whole_cells() for grid in grids) < wanted
         if size <= settings.turning_px or not few:
             break
@@ -239,15 +239,8 @@ def _tight_notes(
         )
 
 
-def _grid(
-    name: str,
-    crs: CRS | None,
-    extents: Mapping[int, Extent],
-    corners: Mapping[int, Corners],
-    size_px: int,
-    minimum_px: int,
-    gsd_m: float,
-) -> Grid:
+def _grid(layout: _Layout, size_px: int, minimum_px: int, gsd_m: float) -> Grid:
+    name, crs, extents, corners = layout
     left, bottom, right, top = around(extents.values())
     while True:
         narrow = min(right - left, top - bottom) < GLOBAL_FROM_TILES * size_px * gsd_m
@@ -290,7 +283,7 @@ def _shrunk(grid: Grid, layout: _Layout, least_px: int, *, few: bool) -> Grid:
         for number in range(1, int((side_px + 0.5) / least_px) + 1)
     }
     smaller = [size for size in sorted(sizes) if least_px <= size < grid.size_px]
-    grids = [*(_grid(*layout, size, size, grid.gsd_m) for size in smaller), grid]
+    grids = [*(_grid(layout, size, size, grid.gsd_m) for size in smaller), grid]
     worth = [each.whole_cells() * (1.0 if few else each.side_m**2) for each in grids]
     return [each for each, it in zip(grids, worth, strict=True) if it >= NEARLY * max(worth)][-1]
 

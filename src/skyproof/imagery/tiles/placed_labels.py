@@ -134,8 +134,8 @@ class PlacedLabels:
     def _place_pixels(self, labels: ImageLabels) -> int:
         """Places labels in pixels; returns how many lie outside the imagery."""
         path = self._settings.path
-        known = {source.path.stem for source in self._sources}
-        unknown = [name for name in labels.images if name not in known]
+        sizes_px = {each.path.stem: (each.width_px, each.height_px) for each in self._sources}
+        unknown = [name for name in labels.images if name not in sizes_px]
         total = sum(map(len, labels.images.values()))
         outside = sum(len(labels.images[name]) for name in unknown)
         if labels.images and len(unknown) == len(labels.images):
@@ -143,7 +143,6 @@ class PlacedLabels:
                 f"The {total} labels of {path} belong to {len(unknown)} images ({unknown[0]}, ...) "
                 "and none of these is among the imagery; check the names."
             )
-        sizes_px = {each.path.stem: (each.width_px, each.height_px) for each in self._sources}
         refuse_beyond_images(labels, sizes_px, path)
         planes = self._planes.items()
         for plane, number in [(name, one) for name, its in planes for one in sorted(its.sources)]:

@@ -170,9 +170,7 @@ def _matches(
                 points = matched[number].nonzero()[:, 0]
                 points = points[ratio[number, points].argsort(stable=True)[:MOST_MATCHES]]
                 partners = partner[number, points]
-                yield _Matches(
-                    first, start + number, *(each.numpy() for each in (points, partners))
-                )
+                yield _Matches(first, start + number, points.numpy(), partners.numpy())
         if progress is not None:
             progress(first + 1, len(views))
 

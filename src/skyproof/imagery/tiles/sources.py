@@ -214,7 +214,7 @@ def inspect_source(path: Path, settings: SourceSettings, reader: SourceReader) -
             width_px=size_px[0],
             height_px=size_px[1],
             stored=stored_to_upright(orientation, *size_px),
-            georeference=read_georeference(dataset, path, settings.gsd_m, settings.crs, notes),
+            georeference=read_georeference(dataset, path, settings, notes),
             bands=bands,
             value_range=None,
             alpha_is_colour=alpha_is_colour,
@@ -238,9 +238,8 @@ def inspect_source(path: Path, settings: SourceSettings, reader: SourceReader) -
 def _doubts(source: Source) -> list[str]:
     """Returns a note if the resolution given is far from that suggested by the camera's height."""
     likely_m, (gsd_m, _) = source.exif.gsd_m, source.georeference.gsd_m
-    if source.georeference.crs is not None or likely_m is None:
-        return []
-    if 1 / _DOUBTED < gsd_m / likely_m < _DOUBTED:
+    given = source.georeference.crs is None
+    if not given or likely_m is None or 1 / _DOUBTED < gsd_m / likely_m < _DOUBTED:
         return []
     return [
         f"its camera's height suggests about {100 * likely_m:.1f} rather than {100 * gsd_m:.1f} cm "
