@@ -4,7 +4,6 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
-from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -193,15 +192,13 @@ def measure_exposure(grounds: Iterable[UInt8[Tensor, "P 3"]]) -> Light:
 
 
 def lit_tiles(
-    folder: Path,
+    backgrounds: BackgroundSet,
     tiles: Sequence[BackgroundTile],
-    gsd_m: float,
     suns: Mapping[str, SunEstimate],
     vehicles_px: Mapping[str, Sequence[Point]],
     notes: list[str],
 ) -> list[BackgroundTile]:
     """Returns the tiles with the light that was measured on their flights, and with their suns."""
-    backgrounds = BackgroundSet(folder, gsd_m, tiles)
     lights: dict[str, Light] = {}
     whites: list[float] = []
     for of_flight in by_flight(tiles):

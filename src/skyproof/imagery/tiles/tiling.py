@@ -150,9 +150,10 @@ def tile_imagery(
     tiles = _sorted_into_splits(folder, tiles, splits)
     if placed is not None:
         _write_datasets(folder, tiles, annotations, settings.gsd_m)
-    sensor = _sensor(folder, tiles, settings.gsd_m, notes)
+    backgrounds = BackgroundSet(folder, settings.gsd_m, tiles)
+    sensor = _sensor(backgrounds, tiles, notes)
     middles_px = {name: [row.centre_px for row in rows] for name, rows in annotations.items()}
-    tiles = lit_tiles(folder, tiles, settings.gsd_m, suns, middles_px, notes)
+    tiles = lit_tiles(backgrounds, tiles, suns, middles_px, notes)
     record = TilingRecord(
         settings=_settings_record(settings, source_settings),
         sources=[_describe(source) for source in sources],
@@ -239,11 +240,10 @@ def _settings_record(settings: TilingSettings, source: SourceSettings) -> dict[s
 
 
 def _sensor(
-    folder: Path, tiles: Sequence[BackgroundTile], gsd_m: float, notes: list[str]
+    backgrounds: BackgroundSet, tiles: Sequence[BackgroundTile], notes: list[str]
 ) -> Sensor:
     """Measures blur and noise of some of the tiles; with too few edges the default is taken."""
     try:
-        backgrounds = BackgroundSet(folder, gsd_m, tiles)
         sensor = measure_sensor(backgrounds.pixels(tile.id) for tile in some_of(tiles))
     except ImageryError:
         notes.append(
