@@ -52,7 +52,7 @@ def test_it_says_what_was_done_about_the_sun_of_how_many_sources():
 )
 def test_it_warns_where_ground_was_smeared(labelled, detected, share, vehicles_from, words):
     totals = {"labelled_removed": labelled, "detected_removed": detected, "masked_share": share}
-    found = warnings(totals, vehicles_from)
+    found = [*warnings(totals, vehicles_from)]
     assert len(found) == len(words)
     assert all(word in sentence for word, sentence in zip(words, found, strict=True))
 

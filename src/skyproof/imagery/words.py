@@ -69,24 +69,22 @@ def light_words(record: dict[str, Any]) -> Iterator[str]:
         )
 
 
-def warnings(totals: dict[str, Any], vehicles_from: list[str]) -> list[str]:
-    """Returns a sentence on each sign that plain ground was taken for vehicles and filled."""
-    sentences = []
+def warnings(totals: dict[str, Any], vehicles_from: list[str]) -> Iterator[str]:
+    """Yields a sentence on each sign that plain ground was taken for vehicles and filled."""
     labelled, detected = totals["labelled_removed"], totals["detected_removed"]
     if "labels" in vehicles_from and detected > _MANY_MORE * max(labelled, 1):
-        sentences.append(
+        yield (
             f"{detected} removed vehicles were only found by the detector, and {labelled} are "
             "labelled: most of what it finds here may be no vehicle; look at the sheet, and take "
             "another detector or a higher threshold (skyproof precheck --freeze)."
         )
     if totals["masked_share"] > _LARGE_SHARE:
-        sentences.append(
+        yield (
             f"{totals['masked_share']:.0%} of the ground was filled, more than the "
             f"{_LARGE_SHARE:.0%} of a place with many vehicles: detectors will be tested on "
             "painted-over ground; look at the sheet, and take another detector or a higher "
             "threshold (skyproof precheck --freeze)."
         )
-    return sentences
 
 
 def tiling_words(
@@ -96,8 +94,7 @@ def tiling_words(
 
     Notes that were `told` before are left out.
     """
-    known = {*told}
-    new = [note for note in record.notes if note not in known]
+    new = [note for note in record.notes if note not in told]
     yield from (f"  note: {note}" for note in merged_notes(new))
     for split in SPLITS:
         count = record.counts[split]
