@@ -241,9 +241,8 @@ def write_yolo(folder: Path) -> None:
     dataset = Dataset.open(folder)
     labels = folder / "labels"
     labels.mkdir()
-    for name, (width, height), boxes in zip(
-        dataset.ids, dataset.sizes_px, dataset.boxes, strict=True
-    ):
+    images = zip(dataset.ids, dataset.sizes_px, dataset.boxes, strict=True)
+    for name, (width, height), boxes in images:
         lines = []
         for left, top, right, bottom in boxes.tolist():
             if right > left and bottom > top:

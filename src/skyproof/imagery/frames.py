@@ -97,9 +97,7 @@ def read_frames_folder(
             "`skyproof ground`."
         )
     require_classes(annotations, classes, str(place))
-    pictures: list[FramePicture] = []
-    boxes: list[Tensor] = []
-    ignore: list[Tensor] = []
+    pictures, boxes, ignore = [], [], []
     sizes_px = {file: _size_px(file) for file in files}
     refuse_beyond_images(
         annotations, {file.stem: size_px for file, size_px in sizes_px.items()}, place
