@@ -113,8 +113,18 @@ def estimate_shadow(profiles: Iterable[Float[Tensor, "_ directions layers"]]) ->
     stacked = stacked[np.isfinite(stacked).any((1, 2))][:SAMPLE_LIMIT]
     if len(stacked) < FEWEST_VEHICLES:
         return None
-    (x, y), profile, contrast = _shadow_side(stacked)
-    peak = int(profile[: round(NEAR_M / LAYER_M)].argmax())
+    # The dark side of boxes, in the median: the sum of all directions, weighted by darkness near.
+    layers_near = round(NEAR_M / LAYER_M)
+    near = _median_of(stacked[:, :, :layers_near].reshape(len(stacked), -1))
+    near = near.reshape(DIRECTIONS, layers_near).mean(1)
+    units = np.array([_unit(number) for number in range(DIRECTIONS)])
+    x, y = (near[:, None] * units).sum(0).tolist()
+    best = round(math.atan2(y, x) / (2 * math.pi) * DIRECTIONS) % DIRECTIONS
+    across = (best + DIRECTIONS // 2) % DIRECTIONS
+    # Darkness by layer on that side, and near the boxes, both less those of the side across.
+    profile = _median_of(stacked[:, best]) - _median_of(stacked[:, across])
+    contrast = float(near[best] - near[across])
+    peak = int(profile[:layers_near].argmax())
     ends = np.nonzero(profile[peak:] < END_SHARE * profile[peak])[0]
     # A darkness without an end is that of a road's side or of trees along it.
     if contrast < FAINTEST_SHADOW or not len(ends):
@@ -122,22 +132,6 @@ def estimate_shadow(profiles: Iterable[Float[Tensor, "_ directions layers"]]) ->
     reach_m = STRETCH * (peak + int(ends[0])) * LAYER_M + PENUMBRA_M
     direction = (x / math.hypot(x, y), y / math.hypot(x, y))
     return Shadow(direction, min(reach_m, LONGEST_SHADOW_M), contrast, len(stacked))
-
-
-def _shadow_side(stacked: Array) -> tuple[tuple[float, float], Array, float]:
-    """Finds the side of the boxes on which the ground within 1 m is dark, in the median.
-
-    It returns the sum of all directions, weighted by darkness, then the darkness by layer on that
-    side, and near the boxes, both less those of the side across.
-    """
-    near = _median_of(stacked[:, :, : round(NEAR_M / LAYER_M)].reshape(len(stacked), -1))
-    near = near.reshape(DIRECTIONS, -1).mean(1)
-    units = np.array([_unit(number) for number in range(DIRECTIONS)])
-    x, y = (near[:, None] * units).sum(0)
-    best = round(math.atan2(y, x) / (2 * math.pi) * DIRECTIONS) % DIRECTIONS
-    across = (best + DIRECTIONS // 2) % DIRECTIONS
-    profile = _median_of(stacked[:, best]) - _median_of(stacked[:, across])
-    return (float(x), float(y)), profile, float(near[best] - near[across])
 
 
 def _median_of(values: Array) -> Array:
