@@ -1,10 +1,9 @@
 """The left half of a texture map while a body is painted, and where its texels lie."""
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import torch
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from skyproof.vehicles.bodies import Body
@@ -15,22 +14,24 @@ Mask = Bool[Tensor, "512 256"]
 Colour = Float[Tensor, " 3"] | tuple[float, float, float]
 
 
-@dataclass
 class TextureCanvas:
     """The left half of a map being painted; places are `[512, 256]` or `[512, 1]`, in metres."""
 
-    body: Body
-    behind: Tensor  # distance behind the nose
-    ahead: Tensor  # distance ahead of the tail
-    y: Tensor
-    z: Tensor
-    column: Tensor  # `[1, 256]` column coordinate, 0 to 16
-    station: Tensor  # `[512, 1]` distance of the texel's cross-section behind the nose
-    belt: Tensor  # `[512, 1]`
-    rail_z: Tensor  # `[512, 1]`
-    rail_y: Tensor  # `[512, 1]`
-    colour: Float[Tensor, "3 512 256"]
-    parts: UInt8[Tensor, "512 256"]
+    def __init__(self, body: Body, paint: Tensor) -> None:
+        rows, columns, column = _texel_weights()
+        x, self.y, self.z = (rows @ body.half[..., axis].float() @ columns for axis in range(3))
+        half_length = body.dimensions.length / 2
+        self.body = body
+        self.behind = half_length - x  # distance behind the nose
+        self.ahead = x + half_length  # distance ahead of the tail
+        self.column = column[None]  # `[1, 256]` column coordinate, 0 to 16
+        # `[512, 1]`: distance of the texel's cross-section behind the nose, shoulder and roof rail.
+        self.station, self.belt, self.rail_z, self.rail_y = (
+            (rows @ row.float())[:, None]
+            for row in (body.station, body.belt_z, body.rail_z, body.rail_y)
+        )
+        self.colour: Float[Tensor, "3 512 256"] = paint.view(3, 1, 1).expand(3, *x.shape).clone()
+        self.parts = torch.full(x.shape, int(Part.BODY), dtype=torch.uint8)
 
     @property
     def upper(self) -> Tensor:
@@ -74,30 +75,6 @@ def _texel_weights() -> tuple[Tensor, Tensor, Tensor]:
     rows = weights(centre, row_v(torch.float32))
     columns = weights(centre[: TEXTURE_SIZE // 2], column_u(torch.float32)[: half + 1])
     return rows, columns.T.contiguous(), columns @ torch.arange(half + 1.0)
-
-
-def open_canvas(body: Body, paint: Tensor) -> TextureCanvas:
-    rows, columns, column = _texel_weights()
-    x, y, z = (rows @ body.half[..., axis].float() @ columns for axis in range(3))
-    station, belt, rail_z, rail_y = (
-        (rows @ row.float())[:, None]
-        for row in (body.station, body.belt_z, body.rail_z, body.rail_y)
-    )
-    half_length = body.dimensions.length / 2
-    return TextureCanvas(
-        body=body,
-        behind=half_length - x,
-        ahead=x + half_length,
-        y=y,
-        z=z,
-        column=column[None],
-        station=station,
-        belt=belt,
-        rail_z=rail_z,
-        rail_y=rail_y,
-        colour=paint.view(3, 1, 1).expand(3, *x.shape).clone(),
-        parts=torch.full(x.shape, int(Part.BODY), dtype=torch.uint8),
-    )
 
 
 def between(value: Tensor, low: float | Tensor, high: float | Tensor) -> Tensor:

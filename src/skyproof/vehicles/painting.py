@@ -5,7 +5,7 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from skyproof.vehicles.bodies import Body
-from skyproof.vehicles.canvas import Colour, TextureCanvas, between, open_canvas
+from skyproof.vehicles.canvas import Colour, TextureCanvas, between
 from skyproof.vehicles.paints import Coat, lay_coat, sample_paint
 from skyproof.vehicles.template import TOPOLOGY_BELT
 from skyproof.vehicles.vehicle import TEXTURE_SIZE, Part
@@ -42,7 +42,7 @@ def paint_vehicle(
     _, drawn_paint = sample_paint(body_type, generator=generator)
     paint = drawn_paint if paint is None else paint
     chance = torch.rand(12, generator=generator).tolist()
-    canvas = open_canvas(body, paint)
+    canvas = TextureCanvas(body, paint)
     if coat in ("plain", "two_tone", "livery"):
         paint = lay_coat(canvas, coat, generator=generator)
     _paint_seams(canvas, body_type)
