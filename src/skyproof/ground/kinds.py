@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -365,3 +366,15 @@ def draw_park(canvas: Canvas) -> None:
     for _ in range(rng.integers(2, 9)):
         place = (rng.uniform(-25, 25), rng.uniform(-25, 25))
         add_clutter(canvas, place, rng.uniform(0, math.pi), *kinds)
+
+
+GROUND_KINDS: dict[str, tuple[Callable[[Canvas], None], float]] = {
+    "car park": (draw_car_park, 0.2),
+    "crossroads": (draw_crossroads, 0.15),
+    "fields": (draw_fields, 0.08),
+    "park": (draw_park, 0.08),
+    "street": (draw_street, 0.2),
+    "village": (draw_village, 0.14),
+    "yard": (draw_yard, 0.15),
+}
+"""The kinds of ground and their shares, larger for kinds with vehicles or things like them."""

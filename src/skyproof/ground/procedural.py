@@ -13,31 +13,13 @@ from torch import Tensor
 
 from skyproof.errors import ConfigurationError
 from skyproof.ground.canvas import Array, Canvas
-from skyproof.ground.kinds import (
-    draw_car_park,
-    draw_crossroads,
-    draw_fields,
-    draw_park,
-    draw_street,
-    draw_village,
-    draw_yard,
-)
+from skyproof.ground.kinds import GROUND_KINDS
 from skyproof.scenes.background_index import BackgroundTile, save_map, save_tile, write_index
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.light import Light, SunEstimate, rounded_levels
 from skyproof.scenes.sensor import Sensor
 from skyproof.scenes.splits import SPLITS
 
-GROUND_KINDS: dict[str, tuple[Callable[[Canvas], None], float]] = {
-    "car park": (draw_car_park, 0.2),
-    "crossroads": (draw_crossroads, 0.15),
-    "fields": (draw_fields, 0.08),
-    "park": (draw_park, 0.08),
-    "street": (draw_street, 0.2),
-    "village": (draw_village, 0.14),
-    "yard": (draw_yard, 0.15),
-}
-"""The kinds of ground and their shares, larger for kinds with vehicles or things like them."""
 _SUN_COLOUR = np.asarray([1.03, 1.0, 0.95], np.float32)
 _SHOULDER = 0.6
 
