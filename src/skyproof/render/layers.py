@@ -52,7 +52,7 @@ class _Topology:
 
     def __init__(self, template: Template) -> None:
         self.faces, self.uvs = template.faces.int(), template.uvs[template.face_uvs].float()
-        self.edges, self.edge_faces = (each.int() for each in mesh_edges(template.faces))
+        self.edges = [each.int() for each in mesh_edges(template.faces)]
 
 
 _topology = lru_cache(maxsize=8)(_Topology)
@@ -193,8 +193,9 @@ class _DrawnBodies(torch.autograd.Function):
             to_screen, to_normals = torch.zeros_like(seen.screen), torch.zeros_like(seen.normals)
             given = (mesh, paint, factor, gradient, to_screen, to_normals)
             rows(shade_back_to_corners, gradient.shape, *given)
-            view = (mesh.screen, mesh.keys, False)
-            _silhouettes_back(seen, paint, view, factor, gradient, to_screen)
+            given = (False, *seen.topology.edges, factor, gradient, to_screen)
+            dim = (len(gradient), len(seen.topology.edges[0]))
+            launch(silhouettes_back, dim, mesh, paint, mesh.screen, mesh.keys, *given)
         return to_shown, to_screen, to_normals, None, None, None, None
 
 
@@ -220,26 +221,13 @@ class _DrawnShadows(torch.autograd.Function):
     @once_differentiable
     def backward(context: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
         seen, shades, factor, cast = context.kept
-        gradient = gradients[0].contiguous()
+        mesh, gradient = seen.mesh, gradients[0].contiguous()
         to_cast, to_box = gradient.new_zeros(*cast.shape, 4), gradient.new_zeros(len(cast), 5)
         rows(shadows_back, cast.shape, shades, cast, gradient, to_cast, to_box)
         to_screen = torch.zeros_like(seen.sun_screen)
-        view = (seen.mesh.sun_screen, seen.mesh.sun_keys, True)
-        _silhouettes_back(seen, Paint(), view, factor, to_cast, to_screen)
+        given = (True, *seen.topology.edges, factor, to_cast, to_screen)
+        dim = (len(gradient), len(seen.topology.edges[0]))
+        launch(silhouettes_back, dim, mesh, Paint(), mesh.sun_screen, mesh.sun_keys, *given)
         to_extent = gradient.new_zeros(len(cast), 2, 3)
         to_extent[:, 0, :2], to_extent[:, 1] = to_box[:, :2], to_box[:, 2:]
         return to_screen, to_extent, None, None, None
-
-
-def _silhouettes_back(
-    seen: SeenBodies,
-    paint: Any,
-    view: tuple[Any, Any, bool],
-    factor: int,
-    gradient: Float[Tensor, "N S S 4"],
-    to_screen: Float[Tensor, "N V 2"],
-) -> None:
-    """Adds the gradient of moving silhouettes; `view` has vertices, keys, whether of the sun."""
-    edges = (seen.topology.edges, seen.topology.edge_faces)
-    dim = (len(gradient), len(seen.topology.edges))
-    launch(silhouettes_back, dim, seen.mesh, paint, *view, *edges, factor, gradient, to_screen)
