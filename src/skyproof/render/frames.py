@@ -49,10 +49,8 @@ class Renderer(Protocol):
 
     def record(self, scenes: Sequence[Scene]) -> dict[str, Any]:
         """Returns the settings that its images of these scenes depend on, as plain JSON values."""
-        ...
 
     def __call__(
         self, scenes: Sequence[Scene], vehicles: VehicleBatch, *, masks: bool = False
     ) -> Frames:
         """Draws one image per scene."""
-        ...
