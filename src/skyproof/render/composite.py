@@ -202,24 +202,20 @@ def covers(
     Cover is flat: it does not lean with the camera.
     """
     size_px = placed.size_px
-    found: Float[Tensor, "B 1 H W"] | None = None
+    found = placed.vertices.new_zeros(len(scenes), 1, size_px, size_px)
     for index, scene in enumerate(scenes):
-        if not any(placement.covered for placement in scene.placements):
-            continue
-        cover = cover_of(scene.background, size_px)
-        if cover is None:
-            continue
-        if found is None:
-            found = placed.vertices.new_zeros(len(scenes), 1, size_px, size_px)
-        found[index, 0] = cover.to(found)
-    if found is None:
+        if any(placement.covered for placement in scene.placements):
+            cover = cover_of(scene.background, size_px)
+            if cover is not None:
+                found[index, 0] = cover
+    some = found.flatten(1).any(1)
+    if not some.any():
         return None
     # Vehicles on top, in the scenes in which others stand beneath.
     covered = torch.tensor(
         [placement.covered for scene in scenes for placement in scene.placements],
         device=found.device,
     )
-    some = found.flatten(1).any(1)
     rows = torch.nonzero((covered == 0) & some[placed.scene])[:, 0]
     if len(rows):
         found = found.masked_fill(_drawn(placed, rows, faces, len(scenes)), 0.0)
