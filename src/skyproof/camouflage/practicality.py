@@ -7,14 +7,13 @@ from typing import Any
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int, UInt8
-from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from skimage.measure import label
 from torch import Tensor
 
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.displacement import DisplacementMap
-from skyproof.camouflage.make import Combination
 from skyproof.camouflage.name import TextureConstraints
 from skyproof.camouflage.texture import UniversalTexture
 from skyproof.geometry.meshes import enclosed_volume_m3, self_intersections
@@ -40,9 +39,8 @@ def score_practicality(texture: TextureConstraints | None, shape_changed: bool) 
     """
     signs = (0, 0, 0)
     if texture is not None:
-        production = {"fixed": 1, "learnt": 0, "free": -1}[texture.colours]
-        installation = 1 if texture.pixelised else -1
-        production = production if texture.pixelised else -1
+        few = {"fixed": 1, "learnt": 0, "free": -1}[texture.colours]
+        production, installation = (few, 1) if texture.pixelised else (-1, -1)
         signs = (production, installation, 1 if texture.masked else -1)
     shape = (-1, -1, -1) if shape_changed else (0, 0, 0)
     return {
@@ -55,9 +53,7 @@ def score_practicality(texture: TextureConstraints | None, shape_changed: bool) 
 @torch.no_grad()
 def practicality_account(camouflage: Camouflage, vehicles: VehicleBatch) -> dict[str, Any]:
     """Returns a camouflage's signs, and measured means over vehicles; None for unchanged sides."""
-    parts = [camouflage]
-    if isinstance(camouflage, Combination):
-        parts = [camouflage.texture, camouflage.shape]
+    parts = list(camouflage.modules())
     texture = next((part for part in parts if isinstance(part, UniversalTexture)), None)
     shapes = (part for part in parts if isinstance(part, DisplacementMap))
     shape = next((part for part in shapes if part.magnitude > 0), None)
@@ -112,7 +108,7 @@ def measure_texture(
             "painted_area_m2": float(area[i][inside].double().sum()),
             "colours": int((torch.bincount(colour[inside], minlength=colours) > 0).sum()),
             "boundary_m": float(across + along),
-            "regions": _count_regions(inside, both_right & same_right, both_below & same_below),
+            "regions": _count_regions(torch.where(inside, colour + 1, 0)),
         }
         if block_px is not None:
             blocks = inside.unflatten(1, (-1, block_px)).unflatten(0, (-1, block_px))
@@ -181,19 +177,11 @@ def _numbered_colours(
     return numbered, len(colours)
 
 
-def _count_regions(
-    worn: Bool[Tensor, "512 512"],
-    joined_right: Bool[Tensor, "512 512"],
-    joined_below: Bool[Tensor, "511 512"],
-) -> int:
-    """Counts connected areas, in a picture twice as large that alternates texels and joints."""
-    picture = np.zeros((2 * TEXTURE_SIZE - 1, 2 * TEXTURE_SIZE), dtype=bool)
-    picture[::2, ::2] = worn.numpy()
-    picture[::2, 1::2] = joined_right.numpy()
-    picture[1::2, ::2] = joined_below.numpy()
-    labels, count = ndimage.label(picture)
-    # The last column holds the joints across the seam: they tie labels there to the first column.
-    seam = picture[:, -1]
+def _count_regions(colour: Int[Tensor, "512 512"]) -> int:
+    """Counts connected areas of one colour, from 1 on, in a map that is circular in u."""
+    labels, count = label(colour.numpy(), connectivity=1, return_num=True)
+    # Areas that meet at the seam are tied together.
+    seam = ((colour[:, -1] == colour[:, 0]) & (colour[:, 0] > 0)).numpy()
     ties = coo_array(
         (np.ones(seam.sum()), (labels[seam, -1] - 1, labels[seam, 0] - 1)), shape=(count, count)
     )
