@@ -119,15 +119,13 @@ def read_mesh(path: Path) -> SourceMesh:
 
 
 def _read_with_trimesh(path: Path) -> SourceMesh:
-    gltf = path.suffix.lower() in (".glb", ".gltf")
+    kind = path.suffix.lower().removeprefix(".")
+    gltf = kind in ("glb", "gltf")
     if gltf:
         refuse_misread(path)
     resolver = _Neighbours(path)
-    content = None if gltf or path.suffix.lower() != ".obj" else _counted_from_the_start(path)
-    if content is None:
-        scene = trimesh.load_scene(path, resolver=resolver, process=False)
-    else:
-        scene = trimesh.load_scene(content, file_type="obj", resolver=resolver, process=False)
+    content = _counted_from_the_start(path) if kind == "obj" else None
+    scene = trimesh.load_scene(content or path, kind, resolver, process=False)
     pieces = []
     materials = []
     notes = list(dict.fromkeys(resolver.notes))
