@@ -110,7 +110,9 @@ class UniversalTexture(Camouflage):
         """Returns the whole map in sRGB, before any mask; differentiable."""
         grid = self._coloured() if self.restricted else self.cells
         side = TEXTURE_SIZE // self.blocks
-        return grid if side == 1 else _spread(grid, side)
+        # Nearest neighbour: every cell becomes side x side texels.
+        spread = grid[:, :, None, :, None].expand(-1, -1, side, -1, side)
+        return spread.flatten(3, 4).flatten(1, 2)
 
     def _coloured(self) -> Float[Tensor, "3 g g"]:
         if self.finished:
@@ -193,8 +195,3 @@ class UniversalTexture(Camouflage):
         colours.copy_((colours.clamp(0.0, 1.0) * 255).round() / 255)
         if self.restricted:
             self.finished.fill_(True)
-
-
-def _spread(grid: Float[Tensor, "C g g"], side: int) -> Float[Tensor, "C H W"]:
-    """Nearest neighbour: every cell becomes side x side texels."""
-    return grid[:, :, None, :, None].expand(-1, -1, side, -1, side).flatten(3, 4).flatten(1, 2)
