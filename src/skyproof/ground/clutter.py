@@ -8,11 +8,6 @@ import numpy as np
 from skyproof.ground.canvas import Array, Canvas, Patch, Place, beside, palette, reflectance
 from skyproof.vehicles.paints import PAINT_SHARES, PAINT_TONES
 
-# Things of a car's size have each vehicle paint as often as vehicles do, because a detector would
-# treat a colour that only one of the two has as evidence.
-_PAINT_NAMES = tuple(PAINT_SHARES)
-_PAINT_SHARES = np.asarray([PAINT_SHARES[name] for name in _PAINT_NAMES])
-
 _CONDITIONERS = palette("bec0c0 96989a ecece8")
 _RUBBLE = palette("6e645a 5e5852 968c7e")
 _SHEDS = palette("786048 5a5856 bec4c6 686a6c 96785a")
@@ -41,7 +36,9 @@ def add_manhole(canvas: Canvas, place: Place) -> None:
 
 def _painted(canvas: Canvas) -> Array:
     """Draws the reflectance of a vehicle's paint, a little off."""
-    name = _PAINT_NAMES[canvas.rng.choice(len(_PAINT_NAMES), p=_PAINT_SHARES)]
+    # Things of a car's size have each vehicle paint as often as vehicles do, because a detector
+    # would treat a colour that only one of the two has as evidence.
+    name = canvas.rng.choice(list(PAINT_SHARES), p=list(PAINT_SHARES.values()))
     return canvas.pick(
         [tuple(round(255 * channel) for channel in tone) for tone in PAINT_TONES[name]]
     )
