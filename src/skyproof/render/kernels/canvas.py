@@ -139,10 +139,7 @@ def received(shown: float, black: float, white: float, shoulder: float):
 
 @wp.func
 def shown_value(light: float, black: float, white: float, shoulder: float):
-    """The shown value of light, linear and not clipped, and its derivative.
-
-    Above its shoulder s the camera shows s + (1 - s) tanh((x - s) / (1 - s)) for x.
-    """
+    """The shown value of light, as `SceneLights.shown` returns it, and its derivative."""
     slope = wp.max(white, black + LEAST_ROOM) - black
     value = black + light * slope
     if value > shoulder and shoulder < 1.0:

@@ -202,14 +202,11 @@ def sample_at(mesh: Mesh, paint: Paint, vehicle: int, face: int, weights: wp.vec
 
 
 @wp.func
-def sample_colour(
-    mesh: Mesh, paint: Paint, light: SurfaceLight, vehicle: int, face: int, weights: wp.vec3
-):
+def sample_colour(mesh: Mesh, paint: Paint, vehicle: int, face: int, weights: wp.vec3):
     """Light that a point of a face sends to the camera."""
     seen = sample_at(mesh, paint, vehicle, face, weights)
-    return radiance(
-        seen.normal, albedo_of(paint.pyramid, seen.texels), seen.sunlit, seen.gloss, light
-    )
+    albedo = albedo_of(paint.pyramid, seen.texels)
+    return radiance(seen.normal, albedo, seen.sunlit, seen.gloss, paint.lights[vehicle])
 
 
 @wp.kernel(enable_backward=False)

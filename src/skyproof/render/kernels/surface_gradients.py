@@ -202,10 +202,8 @@ def silhouettes_back(
             column = wp.clamp(int(wp.floor(point[0] / float(factor))), 0, pixels - 1)
             row = wp.clamp(int(wp.floor(point[1] / float(factor))), 0, pixels - 1)
             given = gradient[vehicle, row, column]
-            step = wp.vec4()
-            if key == NOTHING:
-                step[3] = 1.0
             seen = key == NOTHING
+            step = wp.vec4(0.0, 0.0, 0.0, wp.where(seen, 1.0, 0.0))
             if not shadow:
                 near = wp.lerp(
                     mesh.depth[vehicle, start_vertex], mesh.depth[vehicle, end_vertex], along
@@ -217,15 +215,12 @@ def silhouettes_back(
                     for each in range(3):
                         share = wp.where(corner[each] == end_vertex, along, 0.0)
                         weights[each] = wp.where(corner[each] == start_vertex, 1.0 - along, share)
-                    light = paint.lights[vehicle]
-                    colour = sample_colour(mesh, paint, light, vehicle, face, weights)
+                    colour = sample_colour(mesh, paint, vehicle, face, weights)
                     if key != NOTHING:
                         behind = face_of(key)
                         there = weights_at(mesh, vehicle, behind, x, y)
-                        colour -= sample_colour(mesh, paint, light, vehicle, behind, there)
-                    step[0] = colour[0]
-                    step[1] = colour[1]
-                    step[2] = colour[2]
+                        colour -= sample_colour(mesh, paint, vehicle, behind, there)
+                    step = wp.vec4(colour[0], colour[1], colour[2], step[3])
             if seen:
                 swept = outward * (wp.dot(given, step) / float(factor * factor))
                 wp.atomic_add(to_screen, vehicle, start_vertex, swept * (1.0 - along))
