@@ -114,7 +114,14 @@ class Fleet:
         Raises:
             ConfigurationError: an id that is not in this fleet.
         """
-        rows = torch.tensor([self._row(vehicle_id) for vehicle_id in ids], dtype=torch.int64)
+        row_of = {vehicle_id: row for row, vehicle_id in enumerate(self.ids)}
+        for vehicle_id in ids:
+            if vehicle_id not in row_of:
+                raise ConfigurationError(
+                    f"No vehicle {vehicle_id!r} in a fleet of {len(self)} ({self.ids[0]} ... "
+                    f"{self.ids[-1]}); give the fleet that the scenes were sampled with."
+                )
+        rows = torch.tensor([row_of[vehicle_id] for vehicle_id in ids], dtype=torch.int64)
         # Whole maps are copied, for which `index_select` is several times faster than indexing.
         vertices, textures, parts = (
             values.index_select(0, rows) for values in (self.vertices, self.textures, self.parts)
@@ -164,15 +171,6 @@ class Fleet:
         return Fleet(
             stored.settings, template, stored.ids, vertices, textures, parts, stored.sources
         )
-
-    def _row(self, vehicle_id: str) -> int:
-        try:
-            return self.ids.index(vehicle_id)
-        except ValueError:
-            raise ConfigurationError(
-                f"No vehicle {vehicle_id!r} in a fleet of {len(self)} ({self.ids[0]} ... "
-                f"{self.ids[-1]}); give the fleet that the scenes were sampled with."
-            ) from None
 
 
 def _check_tensors(path: Path, tensors: dict[str, Tensor], count: int, vertices: int) -> None:
