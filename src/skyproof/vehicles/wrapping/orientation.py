@@ -9,7 +9,6 @@ from scipy.spatial import cKDTree
 from skyproof.errors import ConfigurationError
 from skyproof.vehicles.wrapping.meshes import SourceMesh
 
-AXES = ("x", "y", "z", "-x", "-y", "-z")
 # Lengths, widths and heights of road vehicles from a small car to a coach, with and without
 # mirrors.
 _SMALLEST_M, _LARGEST_M = (2.4, 1.2, 0.9), (15.0, 3.8, 4.5)
@@ -27,8 +26,8 @@ def orient(
 ) -> tuple[SourceMesh, dict[str, str | float]]:
     """Turns, scales and moves a mesh.
 
-    The scale is in metres per unit, 1 by default. `up` and `forward` (towards the nose) are among
-    `AXES`. Missing ones come from the format or are guessed: forward is the longest axis other than
+    The scale is in metres per unit, 1 by default. `up` and `forward` (towards the nose) are each an
+    `Axis`. Missing ones come from the format or are guessed: forward is the longest axis other than
     up, and up the less symmetric of the two shorter axes, in its positive direction.
     `_nose_is_first` finds the nose.
 
@@ -65,8 +64,6 @@ def orient(
 
 
 def _axis(name: str) -> tuple[int, float]:
-    if name not in AXES:
-        raise ConfigurationError(f"{name!r} is no axis; choose from {', '.join(AXES)}.")
     return "xyz".index(name[-1]), -1.0 if name.startswith("-") else 1.0
 
 
