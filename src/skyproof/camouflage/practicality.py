@@ -25,6 +25,9 @@ _CRITERIA = ("production_cost", "installation_difficulty", "operation_difficulty
 
 _BLOCK_REGIONS = ("roof", "bonnet", "sides")
 
+_Texture = Float[Tensor, "3 512 512"] | UInt8[Tensor, "3 512 512"]
+_Masks = Bool[Tensor, "N 512 512"]
+
 
 def score_practicality(texture: TextureConstraints | None, shape_changed: bool) -> dict[str, Any]:
     """Returns the signs by the paper's rules (section 4).
@@ -77,10 +80,7 @@ def practicality_account(camouflage: Camouflage, vehicles: VehicleBatch) -> dict
 
 
 def measure_texture(
-    vehicles: VehicleBatch,
-    texture: Float[Tensor, "3 512 512"] | UInt8[Tensor, "3 512 512"],
-    mask: Bool[Tensor, "N 512 512"] | None,
-    block_px: int | None,
+    vehicles: VehicleBatch, texture: _Texture, mask: _Masks | None, block_px: int | None
 ) -> list[dict[str, float]]:
     """Measures a universal texture (sRGB in [0, 1] or bytes) on each vehicle, in its present shape.
 
@@ -149,9 +149,7 @@ def measure_shape(before: VehicleBatch, after: VehicleBatch) -> list[dict[str, f
     ]
 
 
-def worn_texels(
-    vehicles: VehicleBatch, mask: Bool[Tensor, "N 512 512"] | None
-) -> Bool[Tensor, "N 512 512"]:
+def worn_texels(vehicles: VehicleBatch, mask: _Masks | None) -> _Masks:
     """The covered texels of each vehicle, on the CPU; without a mask all but the underside."""
     return (vehicles.parts != Part.UNDERSIDE if mask is None else mask).cpu()
 
@@ -165,9 +163,7 @@ def mean_measures(measures: Sequence[Mapping[str, float]]) -> dict[str, float]:
     return {name: fmean(values) for name, values in columns.items()}
 
 
-def _numbered_colours(
-    texture: Float[Tensor, "3 512 512"] | UInt8[Tensor, "3 512 512"],
-) -> tuple[Int[Tensor, "512 512"], int]:
+def _numbered_colours(texture: _Texture) -> tuple[Int[Tensor, "512 512"], int]:
     """Replaces each 8-bit colour of a texture by a number from 0 on, and counts the colours."""
     texture = texture.detach().cpu()
     if texture.dtype != torch.uint8:

@@ -11,8 +11,12 @@ from torch import Tensor
 _TOUCHING = 1e-13
 _CHUNK = 65_536
 
+_Vertices = Float[Tensor, "N V 3"]
+_Faces = Int[Tensor, "F 3"]
+_Points = Float[Tensor, "P 3"]
 
-def at_corners(values: Float[Tensor, "N V C"], faces: Int[Tensor, "F 3"]) -> Float[Tensor, "3 C M"]:
+
+def at_corners(values: Float[Tensor, "N V C"], faces: _Faces) -> Float[Tensor, "3 C M"]:
     """Returns vertex values at the three corners of every face, mesh by mesh: M = N * F.
 
     Each channel of each corner is one plane, as arithmetic on rows of two or three numbers is slow.
@@ -24,9 +28,7 @@ def at_corners(values: Float[Tensor, "N V C"], faces: Int[Tensor, "F 3"]) -> Flo
     return planes.view(channels, 3, -1).transpose(0, 1)
 
 
-def vertex_normals(
-    vertices: Float[Tensor, "N V 3"], faces: Int[Tensor, "F 3"]
-) -> Float[Tensor, "N V 3"]:
+def vertex_normals(vertices: _Vertices, faces: _Faces) -> _Vertices:
     """Returns unit normals at the vertices: the area-weighted mean of the faces around each."""
     a, b, c = at_corners(vertices, faces)
     face_normals = torch.linalg.cross(b - a, c - a, dim=0)
@@ -40,9 +42,7 @@ def vertex_normals(
     return normals.t().view(count, size, 3)
 
 
-def enclosed_volume_m3(
-    vertices: Float[Tensor, "N V 3"], faces: Int[Tensor, "F 3"]
-) -> Float[Tensor, " N"]:
+def enclosed_volume_m3(vertices: _Vertices, faces: _Faces) -> Float[Tensor, " N"]:
     """Returns the volume inside closed meshes, by the divergence theorem; vertices are in metres.
 
     Space that is enclosed twice counts twice. Faces are counter-clockwise seen from outside, else
@@ -55,7 +55,7 @@ def enclosed_volume_m3(
 
 
 @lru_cache(maxsize=8)
-def mesh_edges(faces: Int[Tensor, "F 3"]) -> tuple[Int[Tensor, "E 2"], Int[Tensor, "E 2"]]:
+def mesh_edges(faces: _Faces) -> tuple[Int[Tensor, "E 2"], Int[Tensor, "E 2"]]:
     """Returns a closed mesh's edges and their two faces; the first one has the edge's direction."""
     directed = torch.cat((faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]))
     owner = torch.arange(len(faces), device=faces.device).repeat(3)
@@ -72,7 +72,7 @@ def mesh_edges(faces: Int[Tensor, "F 3"]) -> tuple[Int[Tensor, "E 2"], Int[Tenso
 
 
 @torch.no_grad()
-def self_intersections(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]) -> int:
+def self_intersections(vertices: Float[Tensor, "V 3"], faces: _Faces) -> int:
     """Counts the pairs of triangles in which an edge of one passes through the inside of the other.
 
     Triangles that share a vertex are neighbours and never count, even if one is folded through the
@@ -88,7 +88,7 @@ def self_intersections(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]
     return count
 
 
-def _near_pairs(triangles: Float[Tensor, "F 3 3"], faces: Int[Tensor, "F 3"]) -> Int[Tensor, "2 P"]:
+def _near_pairs(triangles: Float[Tensor, "F 3 3"], faces: _Faces) -> Int[Tensor, "2 P"]:
     """Returns the pairs of triangles without a common vertex whose bounding boxes overlap."""
     low = triangles.amin(1)
     high = triangles.amax(1)
@@ -119,11 +119,6 @@ def _edge_through(
     return through
 
 
-def _volume(
-    a: Float[Tensor, "P 3"],
-    b: Float[Tensor, "P 3"],
-    c: Float[Tensor, "P 3"],
-    d: Float[Tensor, "P 3"],
-) -> Float[Tensor, " P"]:
+def _volume(a: _Points, b: _Points, c: _Points, d: _Points) -> Float[Tensor, " P"]:
     """Returns six times the signed volume of a tetrahedron."""
     return (torch.linalg.cross(b - a, c - a) * (d - a)).sum(-1)

@@ -33,6 +33,9 @@ _SMOOTHING_M = 0.13
 # that at least one ring reaches the ground.
 _FLAT_TYRE_M, _FLAT_TYRE_SHARE = 0.125, 0.4
 
+_Rings = Float[Tensor, " 27"]
+"""One number for each ring between the caps."""
+
 
 @dataclass(frozen=True)
 class BodyDimensions:
@@ -215,9 +218,7 @@ def _profiles(d: BodyDimensions) -> dict[str, Float[Tensor, " N"]]:
     return curves
 
 
-def _ring_stations(
-    d: BodyDimensions, profile: dict[str, Float[Tensor, " N"]]
-) -> Float[Tensor, " 27"]:
+def _ring_stations(d: BodyDimensions, profile: dict[str, Float[Tensor, " N"]]) -> _Rings:
     """Spaces the rings between the caps evenly along the centre line, one at each body edge."""
     at = profile["at"]
     height = profile["top"] - profile["depth"]
@@ -242,10 +243,8 @@ def _ring_stations(
 
 
 def _sections(
-    d: BodyDimensions, profile: dict[str, Float[Tensor, " N"]], station: Float[Tensor, " 27"]
-) -> tuple[
-    Float[Tensor, "27 17 3"], Float[Tensor, " 27"], Float[Tensor, " 27"], Float[Tensor, " 27"]
-]:
+    d: BodyDimensions, profile: dict[str, Float[Tensor, " N"]], station: _Rings
+) -> tuple[Float[Tensor, "27 17 3"], _Rings, _Rings, _Rings]:
     """Returns the left half, belt height, rail height and rail half width of each ring."""
     top, belt, depth = (
         interpolate(station, profile["at"], profile[name]) for name in ("top", "belt", "depth")
@@ -276,10 +275,7 @@ def _sections(
 
 
 def _lower_side(
-    d: BodyDimensions,
-    station: Float[Tensor, " 27"],
-    half_width: Float[Tensor, " 27"],
-    belt: Float[Tensor, " 27"],
+    d: BodyDimensions, station: _Rings, half_width: _Rings, belt: _Rings
 ) -> Float[Tensor, "27 6 2"]:
     """Returns (y, z) from the sill, or the ground under a tyre, up to the shoulder."""
     # The bumpers' lower edges are higher than the sill.
@@ -301,11 +297,8 @@ def _lower_side(
 
 
 def _upper_side(
-    d: BodyDimensions,
-    shoulder: Float[Tensor, "27 2"],
-    top: Float[Tensor, " 27"],
-    belt: Float[Tensor, " 27"],
-) -> tuple[Float[Tensor, "27 10 2"], Float[Tensor, " 27"], Float[Tensor, " 27"]]:
+    d: BodyDimensions, shoulder: Float[Tensor, "27 2"], top: _Rings, belt: _Rings
+) -> tuple[Float[Tensor, "27 10 2"], _Rings, _Rings]:
     """Returns (y, z) from the shoulder over the roof rail to the middle of roof, bonnet or boot."""
     height = top - belt
     crown = torch.minimum(0.5 * height, torch.full_like(height, 0.045))
@@ -335,7 +328,7 @@ def _upper_side(
     return torch.stack([y, z], dim=-1), rail_z, rail_y
 
 
-def _sink_bed(upper: Float[Tensor, "27 10 2"], depth: Float[Tensor, " 27"]) -> None:
+def _sink_bed(upper: Float[Tensor, "27 10 2"], depth: _Rings) -> None:
     """Lowers the inner points of a pickup's bed rings, leaving a rim of 9 cm."""
     inside = depth > 0
     rim = upper[:, 0, 0]

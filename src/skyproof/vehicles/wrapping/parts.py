@@ -43,6 +43,8 @@ _OTHER_COLOUR, _GREYISH, _PALE = 15.0, 22.0, 75.0
 _LEAST_TEXELS, _WITHIN, _GOES_ON = 150, 0.8, 1 / 3
 _MODE_PX = 7
 
+_Mask = Bool[np.ndarray, "512 512"]
+
 
 def name_part(name: str) -> Part | None:
     """Returns the part that a material's or object's name tells; None (mostly paint) if none."""
@@ -54,7 +56,7 @@ def label_parts(
     mesh: SourceMesh,
     texels: Texels,
     wrapping: Wrapping,
-    plain: Bool[np.ndarray, "512 512"],
+    plain: _Mask,
     *,
     masked: bool,
 ) -> tuple[UInt8[np.ndarray, "512 512"], dict[str, float], list[str]]:
@@ -127,11 +129,8 @@ def label_parts(
 
 
 def _panes(
-    colour: Float[np.ndarray, "512 512 3"],
-    open_: Bool[np.ndarray, "512 512"],
-    paint: Bool[np.ndarray, "512 512"],
-    at_windows: Bool[np.ndarray, "512 512"],
-) -> Bool[np.ndarray, "512 512"]:
+    colour: Float[np.ndarray, "512 512 3"], open_: _Mask, paint: _Mask, at_windows: _Mask
+) -> _Mask:
     """Finds windows of any grey: areas at window height that are no part of a stripe or of dirt."""
     if not (open_ & paint).any():
         return np.zeros_like(open_)
@@ -164,7 +163,7 @@ def _column() -> Float[np.ndarray, " 512"]:
     return np.minimum(column, COLUMNS - column)
 
 
-def _floor(z: Float[np.ndarray, "512 512"], wrapping: Wrapping) -> Bool[np.ndarray, "512 512"]:
+def _floor(z: Float[np.ndarray, "512 512"], wrapping: Wrapping) -> _Mask:
     """Returns the underside's texels, except where its columns run up the end faces."""
     ring = np.arange(TEXTURE_SIZE)[:, None] / TEXTURE_SIZE * (RINGS + 1)
     end_face = (ring < 3) | (ring > RINGS - 2)
@@ -172,9 +171,7 @@ def _floor(z: Float[np.ndarray, "512 512"], wrapping: Wrapping) -> Bool[np.ndarr
     return (_column() <= TOPOLOGY_SILL)[None] & ~(end_face & (z > clearance + 0.12))
 
 
-def _wheels(
-    wrapping: Wrapping, x: np.ndarray, y: np.ndarray, z: np.ndarray
-) -> Bool[np.ndarray, "512 512"]:
+def _wheels(wrapping: Wrapping, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> _Mask:
     """Finds discs on the sides where the lower edge comes down to the ground."""
     hull = wrapping.hull
     at = hull.start[0] + (np.arange(len(hull.low)) + 0.5) * hull.cell

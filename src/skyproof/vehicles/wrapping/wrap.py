@@ -26,6 +26,8 @@ _ALPHA_SHARE = 0.02
 _PIXEL_M = 0.01
 _EVERY = 5  # points are dense enough for one in five
 
+_Corners = Float[np.ndarray, "_ 3 3"]
+
 
 @dataclass(frozen=True)
 class WrappedVehicle:
@@ -105,9 +107,7 @@ def _read_mask(path: Path) -> UInt8[np.ndarray, "H W"]:
         return decoded(image, "L", str(path), remedy, error=ConfigurationError, also=("TGA", "GIF"))
 
 
-def _measure_fit(
-    corners: Float[np.ndarray, "F 3 3"], outer: Outer, wrapping: Wrapping
-) -> dict[str, float | int]:
+def _measure_fit(corners: _Corners, outer: Outer, wrapping: Wrapping) -> dict[str, float | int]:
     """Compares the wrapped template with the mesh.
 
     Distances run from points about 3 cm apart on each outer surface, as seen from the sides and
@@ -136,10 +136,7 @@ def _measure_fit(
 
 
 def _outline_iou(
-    first: Float[np.ndarray, "F 3 3"],
-    second: Float[np.ndarray, "G 3 3"],
-    azimuth_deg: float,
-    elevation_deg: float,
+    first: _Corners, second: _Corners, azimuth_deg: float, elevation_deg: float
 ) -> float:
     """Returns the intersection over union of two meshes' outlines at 1 cm per pixel."""
     axes = view_axes(azimuth_deg, elevation_deg)
