@@ -58,12 +58,13 @@ def between(place: float, low: float, high: float, scale: float):
 
 
 @wp.func
-def contact_shadow(place: wp.vec2, low: wp.vec2, high: wp.vec2, height: float):
+def contact_shadow(place: wp.vec2, shade: Shade):
     """Share of the sky's light that a vehicle, as a box, takes from the ground beside it.
 
     A box under a Gaussian is a product of two smooth steps.
     """
-    scale = 1.0 / (height * (_SPREAD * _SQRT_2))
+    low, high = shade.low, shade.high
+    scale = 1.0 / (shade.height * (_SPREAD * _SQRT_2))
     hidden = between(place[0], low[0], high[0], scale) * between(place[1], low[1], high[1], scale)
     return wp.max(_SHARE * hidden - _FAINTEST, 0.0)
 
@@ -77,11 +78,11 @@ def contact_at(shade: Shade, place: wp.vec2):
         return 0.0
     if place[1] < shade.low[1] - reach or place[1] > shade.high[1] + reach:
         return 0.0
-    return contact_shadow(place, shade.low, shade.high, shade.height)
+    return contact_shadow(place, shade)
 
 
 @wp.func
-def losses(cast: float, contact: float, sunlit: float, overcast: float, left: float):
+def losses(cast: float, contact: float, shade: Shade):
     """Shares of sun and sky that a vehicle takes from the ground.
 
     In the cast shadow a fifth of a clear sky is missing, because the vehicle hides the brighter
@@ -89,17 +90,16 @@ def losses(cast: float, contact: float, sunlit: float, overcast: float, left: fl
     because the bright side gives back what it hides. Both agree with path tracing (docs/cycles.md).
     Without direct sun there is the contact shadow.
     """
-    clear = sunlit * (1.0 - overcast)
+    clear = shade.sunlit * (1.0 - shade.overcast)
     sky_lost = clear * cast * (_FAR_LOSS + _NEAR_LOSS * contact) + (1.0 - clear) * contact
-    return wp.vec2(wp.min(cast * sunlit / left, 1.0), wp.min(sky_lost / left, 1.0))
+    sun_lost = cast * shade.sunlit
+    return wp.vec2(wp.min(sun_lost / shade.left, 1.0), wp.min(sky_lost / shade.left, 1.0))
 
 
 @wp.func
-def weighted_losses(
-    cast: float, contact: float, sunlit: float, overcast: float, left: float, weight: wp.vec2
-):
+def weighted_losses(cast: float, contact: float, shade: Shade, weight: wp.vec2):
     """Returns one number, of which Warp derives the gradient in both shadows."""
-    return wp.dot(weight, losses(cast, contact, sunlit, overcast, left))
+    return wp.dot(weight, losses(cast, contact, shade))
 
 
 @wp.func
@@ -134,9 +134,7 @@ def shadow_pixels(
         shade = shades[vehicle]
         place = in_vehicle(shade, row, column)
         contact = contact_at(shade, place)
-        layers[vehicle, row, column] = losses(
-            share, contact, shade.sunlit, shade.overcast, shade.left
-        )
+        layers[vehicle, row, column] = losses(share, contact, shade)
 
 
 @wp.kernel(enable_backward=False)
@@ -158,24 +156,21 @@ def shadows_back(
         share = cast[vehicle, row, column]
         place = in_vehicle(shade, row, column)
         contact = contact_at(shade, place)
-        to_share, to_contact, _sunlit, _overcast, _left, _given = wp.grad(weighted_losses)(
-            share, contact, shade.sunlit, shade.overcast, shade.left, given
+        to_share, to_contact, _shade, _given = wp.grad(weighted_losses)(
+            share, contact, shade, given
         )
         to_cast[vehicle, row, column] = wp.vec4(0.0, 0.0, 0.0, to_share)
         if contact > 0.0 and to_contact != 0.0:
-            _place, low, high, height = wp.grad(contact_shadow)(
-                place, shade.low, shade.high, shade.height
-            )
-            wp.atomic_add(to_box, vehicle, 0, to_contact * low[0])
-            wp.atomic_add(to_box, vehicle, 1, to_contact * low[1])
-            wp.atomic_add(to_box, vehicle, 2, to_contact * high[0])
-            wp.atomic_add(to_box, vehicle, 3, to_contact * high[1])
-            wp.atomic_add(to_box, vehicle, 4, to_contact * height)
+            _place, box = wp.grad(contact_shadow)(place, shade)
+            wp.atomic_add(to_box, vehicle, 0, to_contact * box.low[0])
+            wp.atomic_add(to_box, vehicle, 1, to_contact * box.low[1])
+            wp.atomic_add(to_box, vehicle, 2, to_contact * box.high[0])
+            wp.atomic_add(to_box, vehicle, 3, to_contact * box.high[1])
+            wp.atomic_add(to_box, vehicle, 4, to_contact * box.height)
 
 
 @wp.kernel(enable_backward=True)
-def _differentiated(out: wp.array(dtype=float)):
+def _differentiated(shade: Shade, out: wp.array(dtype=float)):
     """Never run: `wp.grad` silently gives 0 for functions that no such kernel calls."""
     zero = wp.vec2()
-    contact = contact_shadow(zero, zero, zero, 1.0)
-    out[0] = weighted_losses(1.0, contact, 1.0, 1.0, 1.0, zero)
+    out[0] = weighted_losses(1.0, contact_shadow(zero, shade), shade, zero)
