@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Literal, cast, get_args
 
@@ -181,16 +182,15 @@ class CamouflageName:
     @classmethod
     def read(cls, text: str) -> CamouflageName:
         """Reads any name; one that `parse` refuses or would write otherwise is of kind "other"."""
-        try:
+        with suppress(ConfigurationError):
             name = cls.parse(text)
-        except ConfigurationError:
-            name = None
-        if name is None or str(name) != text:
-            random = text.startswith("R-")
-            base, variant, repeat = _parts(_FOREIGN_CONTROL if random else _FOREIGN, text)
-            name = cls("other", random=random, variant=variant, repeat=repeat, label=base)
+            if str(name) == text:
+                return name
+        random = text.startswith("R-")
+        base, variant, repeat = _parts(_FOREIGN_CONTROL if random else _FOREIGN, text)
+        name = cls("other", random=random, variant=variant, repeat=repeat, label=base)
         # A name that cannot be put together again ("T-U_") is all label.
-        return name if str(name) == text else cls("other", random=name.random, label=text)
+        return name if str(name) == text else cls("other", random=random, label=text)
 
     def __str__(self) -> str:
         """The name in tables and of folders."""
@@ -241,14 +241,11 @@ class CamouflageName:
             words = f"{texture}, with a changed shape ({shape})"
         else:
             words = texture or f"changed shape ({shape})"
-        if self.choice == "search":
-            return f"random search: {words}"
         if self.choice == "pattern" and self.constraints:
             where = "painted panels" if self.constraints.masked else "the whole vehicle"
             return f"best of many random patterns in ground colours on {where}"
-        if self.random:
-            return f"{'best of many random draws' if self.choice else 'random'}: {words}"
-        return words
+        drawn = {"best": "best of many random draws: ", "search": "random search: "}
+        return drawn.get(self.choice or "", "random: " if self.random else "") + words
 
     @property
     def pooled(self) -> CamouflageName:
