@@ -17,13 +17,8 @@ from skyproof.vehicles.paints import varied_colours
 from skyproof.vehicles.vehicle import VehicleBatch
 
 # Colours of the ground over glass and wheels hide most, so they are drawn four times as often.
-_TEXTURES = tuple(
-    TextureConstraints.parse(name)
-    for name in (
-        *("U", "Ma", "Pix", "PixMa", "Lc", "LcMa", "PixLc", "PixLcMa"),
-        *("Fc", "FcMa", "PixFc", "PixFcMa", *("Fc", "PixFc") * 3),
-    )
-)
+_KINDS = "U Ma Pix PixMa Lc LcMa PixLc PixLcMa Fc FcMa PixFc PixFcMa" + 3 * " Fc PixFc"
+_TEXTURES = tuple(map(TextureConstraints.parse, _KINDS.split()))
 # Coarser and finer than the attacks' 32 blocks, so that no detector learns one width by heart.
 _BLOCKS = (8, 16, 32, 64)
 _MOST_COLOURS = 8
