@@ -16,6 +16,7 @@ from torch.autograd.function import once_differentiable
 from skyproof.geometry.rasterise import rasterise
 from skyproof.geometry.triangles import NOTHING_KEY
 from skyproof.kernels import rows, struct
+from skyproof.render.frames import Images
 from skyproof.render.kernels.canvas import (
     ImageLayers,
     SensorWindows,
@@ -222,11 +223,7 @@ def covers(
     return found
 
 
-def hidden(
-    image: Float[Tensor, "B 3 H W"],
-    photographs: Float[Tensor, "B 3 H W"],
-    cover: Float[Tensor, "B 1 H W"],
-) -> Float[Tensor, "B 3 H W"]:
+def hidden(image: Images, photographs: Images, cover: Float[Tensor, "B 1 H W"]) -> Images:
     """Lays the photograph's cover over the vehicles again; other pixels keep their bits."""
     return torch.where(cover > 0, torch.lerp(image, photographs, cover), image)
 

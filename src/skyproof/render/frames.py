@@ -10,6 +10,8 @@ from torch import Tensor
 from skyproof.scenes.scene import Scene
 from skyproof.vehicles.vehicle import VehicleBatch
 
+Images = Float[Tensor, "B 3 H W"]
+
 
 @dataclass(frozen=True)
 class Frames:
@@ -25,7 +27,7 @@ class Frames:
         masks: `[N, H, W]` pixels at least half covered by the vehicle, before blur; or None.
     """
 
-    image: Float[Tensor, "B 3 H W"]
+    image: Images
     scene_index: Int[Tensor, " N"]
     boxes: Float[Tensor, "N 4"]
     centres: Float[Tensor, "N 2"]

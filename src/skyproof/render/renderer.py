@@ -11,7 +11,7 @@ from torch import Tensor
 
 from skyproof.errors import StoredFileError
 from skyproof.render.composite import composite, covers
-from skyproof.render.frames import Frames
+from skyproof.render.frames import Frames, Images
 from skyproof.render.layers import SeenBodies, WindowLayers, draw_bodies, draw_shadows, see_bodies
 from skyproof.render.lighting import SceneLights, lighting, scene_lights
 from skyproof.render.placed import label, nothing_placed, place, windows_around
@@ -54,9 +54,7 @@ def _read(scenes: Sequence[Scene], read: Callable[[Scene], _Value]) -> list[_Val
     return found
 
 
-def photographs(
-    backgrounds: Backgrounds, scenes: Sequence[Scene], device: torch.device
-) -> Float[Tensor, "B 3 H W"]:
+def photographs(backgrounds: Backgrounds, scenes: Sequence[Scene], device: torch.device) -> Images:
     """Returns the scenes' photographs without vehicles, sRGB."""
     windows = _read(scenes, lambda s: backgrounds.window(s.background, s.camera.size_px))
     return torch.stack(windows).to(device)
@@ -233,7 +231,7 @@ class TorchRenderer:
             )
         return replace(buffer.labels[masks], image=image)
 
-    def _ground(self, scenes: Sequence[Scene], vehicles: VehicleBatch) -> Float[Tensor, "B 3 H W"]:
+    def _ground(self, scenes: Sequence[Scene], vehicles: VehicleBatch) -> Images:
         return wet_grounds(photographs(self.backgrounds, scenes, vehicles.vertices.device), scenes)
 
     def _look(self, scenes: Sequence[Scene], vehicles: VehicleBatch) -> GeometryBuffer:

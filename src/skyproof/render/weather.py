@@ -11,6 +11,7 @@ from PIL import Image
 from torch import Tensor
 
 from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
+from skyproof.render.frames import Images
 from skyproof.scenes.scene import Scene
 
 AIRLIGHT = (0.42, 0.47, 0.54)
@@ -22,9 +23,7 @@ _WATER_INDEX = 1.33
 _NOISE_STREAM = 0x5DEECE66D
 
 
-def wet_grounds(
-    photographs: Float[Tensor, "B 3 H W"], scenes: Sequence[Scene]
-) -> Float[Tensor, "B 3 H W"]:
+def wet_grounds(photographs: Images, scenes: Sequence[Scene]) -> Images:
     """Wets the ground of photographs in place where it rained; the others keep their bits."""
     for photograph, scene in zip(photographs, scenes, strict=True):
         if scene.weather.wetness > 0:
@@ -43,9 +42,7 @@ def wet(ground: Float[Tensor, "*S"], wetness: float) -> Float[Tensor, "*S"]:
     return torch.lerp(ground, darkened, wetness)
 
 
-def finish_images(
-    images: Float[Tensor, "B 3 H W"], scenes: Sequence[Scene]
-) -> Float[Tensor, "B 3 H W"]:
+def finish_images(images: Images, scenes: Sequence[Scene]) -> Images:
     """Lays haze, exposure, noise and JPEG over pictures, in this order; clear ones keep their bits.
 
     Differentiable; the gradient of a pixel that exposure or noise clips is zero.
