@@ -41,8 +41,6 @@ def relative_luminance(
     """
     a, b, c, d, e = kind
     gradation = 1 + a * torch.exp(b / up.clamp(min=_LOWEST))
-    if not c and not e:
-        return gradation
     distance = torch.arccos(towards_sun.clamp(-0.9999, 0.9999))
     around = 1 + c * (torch.exp(d * distance) - math.exp(d * math.pi / 2))
     return gradation * (around + e * towards_sun.square())
