@@ -167,10 +167,8 @@ class Fleet:
         tensors, _ = read_tensors(path, _REMEDY)
         template = make_template()
         _check_tensors(path, tensors, len(stored.ids), len(template.mirror))
-        vertices, textures, parts = (tensors[name] for name in ("vertices", "textures", "parts"))
-        return Fleet(
-            stored.settings, template, stored.ids, vertices, textures, parts, stored.sources
-        )
+        maps = (tensors["vertices"], tensors["textures"], tensors["parts"])
+        return Fleet(stored.settings, template, stored.ids, *maps, stored.sources)
 
 
 def _check_tensors(path: Path, tensors: dict[str, Tensor], count: int, vertices: int) -> None:
@@ -248,18 +246,17 @@ def _paints_of(
 
 def _coats(settings: FleetSettings, generator: torch.Generator) -> list[Coat]:
     """Says how each vehicle is painted: exact shares, in random order."""
-    shares = {coat: share for coat, share in settings.paints.shares.items() if share}
+    shares = settings.paints.shares
     coats: list[Coat] = [_USUAL] * settings.count
-    if not shares:
-        return coats
     # Without variety nothing is drawn, so that fleets with catalogue paints do not change.
-    order = torch.randperm(settings.count, generator=generator).tolist()
-    first = 0.0
-    for coat, share in shares.items():
-        last = first + share * settings.count
-        for index in order[round(first) : round(last)]:
-            coats[index] = cast(Coat, coat)
-        first = last
+    if any(shares.values()):
+        order = torch.randperm(settings.count, generator=generator).tolist()
+        first = 0.0
+        for coat, share in shares.items():
+            last = first + share * settings.count
+            for index in order[round(first) : round(last)]:
+                coats[index] = cast(Coat, coat)
+            first = last
     return coats
 
 
