@@ -39,8 +39,7 @@ def orient(
     up = up or mesh.up or _guess_up(points)
     across = [axis for axis in range(3) if axis != _axis(up)[0]]
     guessed = forward is None
-    if forward is None:
-        forward = "xyz"[max(across, key=lambda axis: extent[axis])]
+    forward = forward or "xyz"[max(across, key=lambda axis: extent[axis])]
     if _axis(up)[0] == _axis(forward)[0]:
         raise ConfigurationError(
             f"--wrapping.up {up} and --wrapping.forward {forward} lie along one axis; give two "
@@ -49,12 +48,10 @@ def orient(
     unit_m = scale if scale is not None else 1.0
     turned = _turn(mesh.corners, up, forward) * unit_m
     _check_size(np.ptp(turned.reshape(-1, 3), axis=0), unit_m)
-    how = "as given"
-    if guessed:
-        first, how = _nose_is_first(turned)
-        if not first:
-            forward = forward.removeprefix("-") if forward.startswith("-") else f"-{forward}"
-            turned = turned * [-1.0, -1.0, 1.0]
+    first, how = _nose_is_first(turned) if guessed else (True, "as given")
+    if not first:
+        forward = forward.removeprefix("-") if forward.startswith("-") else f"-{forward}"
+        turned = turned * [-1.0, -1.0, 1.0]
     flat = turned.reshape(-1, 3)
     low = flat.min(0)
     high = flat.max(0)
