@@ -115,8 +115,7 @@ def _misfit(wanted: Mapping[str, Tensor], given: Mapping[str, Tensor]) -> str:
 
 def describe_camouflage(camouflage: Camouflage) -> dict[str, Any]:
     """Returns what, besides its tensors, is needed to build a camouflage again, as JSON values."""
-    described: dict[str, Any] = msgspec.to_builtins(_described(camouflage))
-    return described
+    return msgspec.to_builtins(_described(camouflage))
 
 
 def _described(camouflage: Camouflage) -> _Texture | _Shape | _Both:
