@@ -85,8 +85,6 @@ class SceneLights:
 
         Above its shoulder s the camera shows s + (1 - s) tanh((x - s) / (1 - s)) for x.
         """
-        if self._plain:
-            return light
         black, white, shoulder = self._levels()
         value = black + light * (white - black)
         room = (1 - shoulder).clamp(min=LEAST_ROOM)
@@ -98,20 +96,12 @@ class SceneLights:
 
         A white pixel counts as only a little brighter than white.
         """
-        if self._plain:
-            return shown
         black, white, shoulder = self._levels()
         room = (1 - shoulder).clamp(min=LEAST_ROOM)
         part = ((shown - shoulder).clamp(min=0.0) / room).clamp(max=NEARLY_WHITE)
         straight = shoulder + room * torch.arctanh(part)
         value = torch.where(shown > shoulder, torch.where(shoulder < 1, straight, shown), shown)
         return ((value - black) / (white - black)).clamp(min=0.0)
-
-    @property
-    def _plain(self) -> bool:
-        """Whether the pictures show light as it is."""
-        levels = (self.white == 1).all() & (self.black == 0).all()
-        return bool(levels & (self.shoulder >= 1).all())
 
     def _levels(self) -> tuple[Tensor, Tensor, Tensor]:
         black = self.black[:, :, None, None]
