@@ -13,8 +13,12 @@ from tyro.conf import Suppress
 
 from skyproof.cli.render import sampled_scenes
 from skyproof.console import progress_bar, say
+from skyproof.detectors.card import detector_folder, read_card
+from skyproof.device import choose_device
 from skyproof.errors import ConfigurationError, RunFolderError
 from skyproof.ranges import Count, Seed
+from skyproof.scenes.scene import Scene, read_scenes
+from skyproof.scenes.settings import SceneSettings
 
 if TYPE_CHECKING:
     import torch
@@ -23,7 +27,6 @@ if TYPE_CHECKING:
     from skyproof.measure.precheck import PrecheckScenes
     from skyproof.results.precheck import MeasuredOn, PrecheckRecord
     from skyproof.scenes.backgrounds import BackgroundSet
-    from skyproof.scenes.scene import Scene
     from skyproof.vehicles.fleet import Fleet
 
 
@@ -76,8 +79,6 @@ class Precheck:
             raise ConfigurationError(
                 "A precheck renders scenes: give --backgrounds and --fleet of the test split."
             )
-        from skyproof.detectors.card import detector_folder, read_card
-        from skyproof.device import choose_device
         from skyproof.measure.baseline import read_frames
         from skyproof.measure.precheck import PrecheckScenes, precheck_lines
         from skyproof.scenes.backgrounds import BackgroundSet
@@ -100,10 +101,6 @@ class Precheck:
 
     def _scenes(self, backgrounds: BackgroundSet, fleet: Fleet) -> list[Scene]:
         """The scenes of the file, or drawn ones."""
-        from skyproof.detectors.card import read_card
-        from skyproof.scenes.scene import read_scenes
-        from skyproof.scenes.settings import SceneSettings
-
         if self.scenes is not None:
             return read_scenes(self.scenes)[: self.scenes_count]
         size_px = self.image_px or min(read_card(self.detectors[0]).image_size_px)
@@ -143,9 +140,7 @@ class Precheck:
                 "--freeze expects one detector folder, and labelled images to choose the threshold "
                 "on; give --frames."
             )
-        from skyproof.detectors.card import read_card
         from skyproof.detectors.loaded import copy_with_threshold
-        from skyproof.device import choose_device
         from skyproof.measure.baseline import read_frames
 
         (folder,) = self.detectors
@@ -159,7 +154,6 @@ class Precheck:
 
 def _known(folder: Path, wanted: MeasuredOn) -> PrecheckRecord:
     """Returns a detector's stored record; refuses one of other weights, scenes or images."""
-    from skyproof.detectors.card import read_card
     from skyproof.results.precheck import PRECHECK_FILE, read_precheck
 
     record = read_precheck(folder)

@@ -12,12 +12,12 @@ from skyproof.cycles.settings import Rendering
 from skyproof.errors import ConfigurationError
 from skyproof.files import new_file
 from skyproof.ranges import Count, Seed
+from skyproof.scenes.scene import Scene, read_scenes, write_scenes
 from skyproof.scenes.settings import SceneSettings
 from skyproof.scenes.splits import Split
 
 if TYPE_CHECKING:
     from skyproof.scenes.backgrounds import BackgroundSet
-    from skyproof.scenes.scene import Scene
     from skyproof.vehicles.fleet import Fleet
 
 
@@ -98,12 +98,9 @@ class Render(Rendering):
             )
 
     def _scenes(self, backgrounds: BackgroundSet, fleet: Fleet) -> Sequence[Scene]:
-        from skyproof.scenes.scene import read_scenes
-
         if self.scenes is not None:
             return read_scenes(self.scenes)
-        count, seed = self.count, self.seed
-        return sampled_scenes(self.settings, backgrounds, fleet, self.split, count, seed)
+        return sampled_scenes(self.settings, backgrounds, fleet, self.split, self.count, self.seed)
 
 
 def sampled_scenes(
@@ -122,9 +119,8 @@ def sampled_scenes(
 
     name = name or split
     generator = generator_of(seed, "scenes", name)
-    sizes_m = fleet.sizes_m
     return sample_scenes(
-        settings, backgrounds, split, sizes_m, count, generator=generator, prefix=name
+        settings, backgrounds, split, fleet.sizes_m, count, generator=generator, prefix=name
     )
 
 
@@ -140,7 +136,6 @@ def draw_scenes(
 ) -> None:
     """Samples scenes on a split's ground, and writes them as JSON lines."""
     from skyproof.scenes.backgrounds import BackgroundSet
-    from skyproof.scenes.scene import write_scenes
     from skyproof.vehicles.fleet import Fleet
 
     with new_file(out):
