@@ -57,11 +57,7 @@ def find_blender(path: Path | None = None) -> Blender:
 
 def worker_environment(environment: dict[str, str], scratch: str | Path) -> dict[str, str]:
     """An environment without this Python's packages, with a folder for Blender's scratch files."""
-    kept = {
-        name: value
-        for name, value in environment.items()
-        if name not in ("PYTHONPATH", "PYTHONHOME")
-    }
+    kept = {name: environment[name] for name in {*environment} - {"PYTHONPATH", "PYTHONHOME"}}
     return kept | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(scratch))
 
 

@@ -202,9 +202,6 @@ def _patch(
     border = math.ceil(_GROUND_BORDER_M / gsd_m)
     size = photograph.shape[-1]
     left, top = (min(max(value - border, 0), size - 1) for value in window[:2])
-    right, bottom = (
-        max(min(value + border, size), low + 1)
-        for value, low in zip(window[2:], (left, top), strict=True)
-    )
-    patch = photograph[:, top:bottom, left:right].permute(1, 2, 0).float().cpu().numpy()
-    return [left, top], np.ascontiguousarray(patch)
+    right, bottom = (value + border for value in window[2:])
+    shown = photograph[:, top : max(bottom, top + 1), left : max(right, left + 1)]
+    return [left, top], np.ascontiguousarray(shown.permute(1, 2, 0).float().cpu().numpy())

@@ -156,19 +156,15 @@ def composite_crops(
     if not crops:
         return photograph
     radius, size = sensor.blur_radius_px, photograph.shape[-1]
-    wide = size + 2 * radius
+    wide, limits = size + 2 * radius, (-radius, size + radius)
     total = photograph.new_zeros(7, wide, wide)
     weight = photograph.new_zeros(wide, wide)
     nearest = photograph.new_zeros(wide, wide)
     for (left, top, width, height), layers in crops:
         rows = slice(top + radius, top + radius + height)
         columns = slice(left + radius, left + radius + width)
-        ends = [
-            (first <= -radius, first + length >= size + radius)
-            for first, length in ((top, height), (left, width))
-        ]
-        vertical = _inwards(height, margin_px, ends[0], layers)
-        inside = vertical[:, None] * _inwards(width, margin_px, ends[1], layers)
+        vertical = _inwards(top, height, limits, margin_px, layers)
+        inside = vertical[:, None] * _inwards(left, width, limits, margin_px, layers)
         trust = inside + _LEAST_WEIGHT
         total[:, rows, columns] += layers * trust
         weight[rows, columns] += trust
@@ -189,14 +185,13 @@ def composite_crops(
 
 
 def _inwards(
-    length: int, margin: int, cut: tuple[bool, bool], like: Tensor
+    first: int, length: int, limits: tuple[int, int], margin: int, like: Tensor
 ) -> Float[Tensor, " length"]:
-    """Returns weights that rise to 1 over the margin from 0 at each end that is not `cut`."""
+    """Returns weights that rise to 1 over the margin from 0 at each end within the limits."""
     step = torch.arange(length, device=like.device, dtype=like.dtype) + 0.5
-    from_first, from_last = (
-        torch.full_like(step, torch.inf) if end else way
-        for end, way in zip(cut, (step, length - step), strict=True)
-    )
+    endless = torch.full_like(step, torch.inf)
+    from_first = step if first > limits[0] else endless
+    from_last = length - step if first + length < limits[1] else endless
     return (torch.minimum(from_first, from_last) / max(margin, 1)).clamp(max=1.0)
 
 
