@@ -163,23 +163,17 @@ def _look_at_imagery(its: Subject, mistakes: list[SkyproofError]) -> tuple[int, 
 
 
 def _imagery(sources: Sequence[Source], cells: Sequence[Cell]) -> str:
-    sides_m = [
-        (source.width_px * gsd[0], source.height_px * gsd[1])
-        for source in sources
-        for gsd in [source.georeference.gsd_m]
-    ]
-    finest, coarsest = (
-        100 * choose(math.hypot(*source.georeference.gsd_m) / math.sqrt(2) for source in sources)
-        for choose in (min, max)
-    )
-    placed = sum(source.georeference.crs is not None for source in sources)
-    widths, heights = zip(*sides_m, strict=True)
+    places = [source.georeference for source in sources]
+    gsds_cm = [100 * (math.hypot(*place.gsd_m) / math.sqrt(2)) for place in places]
+    placed = sum(place.crs is not None for place in places)
+    widths = [source.width_px * source.georeference.gsd_m[0] for source in sources]
+    heights = [source.height_px * source.georeference.gsd_m[1] for source in sources]
     tiles_m = [cell.side_m for cell in cells]
     used = sum(side_m**2 for side_m in tiles_m) / _ground_m2(sources)
     return (
         f"{counted(len(sources), 'image')} of {span(min(widths), max(widths))} x "
-        f"{span(min(heights), max(heights))} m at {span(finest, coarsest, 1)} cm per pixel, "
-        f"{placed} of them on a map: about {counted(len(cells), 'tile')} of "
+        f"{span(min(heights), max(heights))} m at {span(min(gsds_cm), max(gsds_cm), 1)} cm per "
+        f"pixel, {placed} of them on a map: about {counted(len(cells), 'tile')} of "
         f"{span(min(tiles_m), max(tiles_m))} m, which cover {percent(min(used, 1.0))} of the ground"
     )
 
@@ -237,28 +231,26 @@ def _lengths_m(
     labels: Labels, classes: Sequence[str], sources: Sequence[Source], grids: Sequence[Grid]
 ) -> tuple[list[float], int]:
     """Returns the lengths of labelled vehicles that are not mere points, and the number of all."""
-    lengths_m: list[float] = []
-    count = 0
     if isinstance(labels, GroundLabels):
         wanted = [
             label for label in labels.labels if label.class_name in classes and not label.ignore
         ]
         grid = next((grid for grid in grids if grid.crs is not None), None)
-        if grid is not None:
-            system = system_of(labels.crs, "the labels")
-            corners = [corner for label in wanted for corner in label.corners]
-            moved = iter(to_reference_system(system, grid.crs, corners))
-            wanted = [label.moved([next(moved) for _ in label.corners]) for label in wanted]
-            lengths_m = [label.length for label in wanted if len(label.corners) > 1]
-        return [length for length in lengths_m if math.isfinite(length)], len(wanted)
-    for source in sources:
-        scale_m = math.sqrt(math.prod(source.georeference.gsd_m))
-        for label in labels.images.get(source.path.stem, ()):
-            if label.class_name in classes and not label.ignore:
-                count += 1
-                if len(label.corners) > 1:
-                    lengths_m.append(label.length * scale_m)
-    return lengths_m, count
+        if grid is None:
+            return [], len(wanted)
+        system = system_of(labels.crs, "the labels")
+        corners = [corner for label in wanted for corner in label.corners]
+        moved = iter(to_reference_system(system, grid.crs, corners))
+        placed = [(label.moved([next(moved) for _ in label.corners]), 1.0) for label in wanted]
+    else:
+        placed = [
+            (label, math.sqrt(math.prod(source.georeference.gsd_m)))
+            for source in sources
+            for label in labels.images.get(source.path.stem, ())
+            if label.class_name in classes and not label.ignore
+        ]
+    lengths_m = [label.length * scale_m for label, scale_m in placed if len(label.corners) > 1]
+    return [length_m for length_m in lengths_m if math.isfinite(length_m)], len(placed)
 
 
 def _plan(its: Subject, tiles: int, steps: Sequence[Step]) -> Iterator[str]:
