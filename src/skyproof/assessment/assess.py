@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from skyproof.assessment.answers import say_answers, say_expected, say_verdict
 from skyproof.assessment.attacking import attacks, controls, scored
@@ -23,12 +22,10 @@ from skyproof.assessment.suite import SUITE, read_suite
 from skyproof.console import say
 from skyproof.cycles.blender import find_blender
 from skyproof.cycles.settings import Rendering
+from skyproof.detectors.answers import Answering, BlackBoxDetector
+from skyproof.detectors.detector import Detector
 from skyproof.files import file_digest
 from skyproof.ranges import check_ranges
-
-if TYPE_CHECKING:
-    from skyproof.detectors.answers import Answering, BlackBoxDetector
-    from skyproof.detectors.detector import Detector
 
 _SCORED_AT_ONCE = 24
 
@@ -69,7 +66,7 @@ def assess_steps(its: Subject) -> Iterator[Step]:
 
 
 def _prepared(
-    request: Request, suite_file: Path, black_box: "BlackBoxDetector | None"
+    request: Request, suite_file: Path, black_box: BlackBoxDetector | None
 ) -> tuple[Subject, Run]:
     """Checks a request as far as its options allow, and returns its run, which has not begun."""
     its = subject_of(request, read_suite(suite_file), black_box)
@@ -92,7 +89,7 @@ def _prepared(
 
 @own_options()
 def run_assessment(
-    request: Request, suite_file: Path = SUITE, black_box: "BlackBoxDetector | None" = None
+    request: Request, suite_file: Path = SUITE, black_box: BlackBoxDetector | None = None
 ) -> Path:
     """Runs all unfinished steps and prints the results; returns the report's path."""
     its, run = _prepared(request, suite_file, black_box)
@@ -131,7 +128,7 @@ def plan_assessment(request: Request, suite_file: Path = SUITE) -> None:
 
 
 def assess(
-    detector: "str | Path | Sequence[str | Path] | Detector | Answering",
+    detector: str | Path | Sequence[str | Path] | Detector | Answering,
     out: str | Path,
     *,
     name: str | None = None,
