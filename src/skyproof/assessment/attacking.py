@@ -82,7 +82,8 @@ def attack(
 def query(its: Subject, name: CamouflageName, start: CamouflageName | None = None) -> Step:
     """Makes a query attack; it starts from a finished camouflage, or from a random draw."""
     rival = name.control.with_variant("search") if start and its.black_box is not None else None
-    folder = its.layout.camouflage(str(name))
+    made = its.layout.camouflages
+    folder = made / str(name)
     settings = replace(its.suite.queries, seed=its.seed)
 
     def work() -> None:
@@ -90,12 +91,10 @@ def query(its: Subject, name: CamouflageName, start: CamouflageName | None = Non
             generator = generator_of(its.seed, "texture", str(name))
             base = make_camouflage(name, generator=generator, palette=its.palette(name))
         else:
-            base = load_camouflage(its.layout.camouflage(str(start)))
+            base = load_camouflage(made / str(start))
             base.name = name
         base.to(its.device)
-        other = None
-        if rival is not None:
-            other = load_camouflage(its.layout.camouflage(str(rival))).to(its.device)
+        other = None if rival is None else load_camouflage(made / str(rival)).to(its.device)
         (detector,) = its.detectors
         with progress_bar(f"query attack {name}") as update:
             query_attack(base, detector, its.world, settings, folder, rival=other, on_step=update)
