@@ -89,7 +89,9 @@ class VehicleDataset:
         self._images = Dataset.open(folder)
         scenes = Path(folder) / "scenes.jsonl"
         self._scenes = self._images.scenes if scenes.exists() else None
-        self._rendering = _rendering(self._images)
+        settings = json.dumps(self._images.rendering, sort_keys=True, default=str)
+        digest = hashlib.sha256(settings.encode()).hexdigest()
+        self._rendering = f"{self._images.renderer}-{digest[:12]}"
         name = Path(folder).resolve().name
         self.metadata: dict[str, Any] = {
             "id": f"{name}-{_digest(self._images)[:12]}",
@@ -147,11 +149,6 @@ def scene_metadata(scene: Scene, placements: list[int]) -> dict[str, Any]:
         "tilt_deg": math.degrees(scene.camera.tilt_rad),
         "weather": scene.weather.condition,
     }
-
-
-def _rendering(images: Dataset) -> str:
-    settings = json.dumps(images.rendering, sort_keys=True, default=str)
-    return f"{images.renderer}-{hashlib.sha256(settings.encode()).hexdigest()[:12]}"
 
 
 def _digest(images: Dataset) -> str:

@@ -85,8 +85,12 @@ class ModelDetector(BlackBoxDetector):
         self._model = model
         self._bytes = largest_value == 255
         self._labels = _vehicle_labels(metadata, vehicle_classes, name)
-        own = {*self._labels, *_backgrounds(metadata)}
-        self._others = [int(label) for label in metadata["index2label"] if int(label) not in own]
+        # Some models also give scores to a label that means no object.
+        self._others = [
+            int(label)
+            for label, text in metadata["index2label"].items()
+            if int(label) not in self._labels and str(text).strip("_ ").lower() != "background"
+        ]
 
     def of_other_classes(self) -> "ModelDetector | None":
         """See `Detector.of_other_classes`."""
@@ -138,13 +142,6 @@ def _vehicle_labels(
     return [int(label) for label, text in known.items() if text in vehicle_classes]
 
 
-def _backgrounds(metadata: Mapping[str, Any]) -> list[int]:
-    """Returns the labels that mean no object, to which some models give scores as well."""
-    known: Mapping[int, str] = metadata["index2label"]
-    names = {int(label): str(text).strip("_ ").lower() for label, text in known.items()}
-    return [label for label, name in names.items() if name == "background"]
-
-
 def _bytes_of(image: Any) -> UInt8[Tensor, "3 H W"]:
     """Reads a MAITE image, any array-like `[3, H, W]` of 0 to 255, or of fractions, as bytes."""
     values = np.asarray(image)
@@ -161,9 +158,8 @@ def _bytes_of(image: Any) -> UInt8[Tensor, "3 H W"]:
             f"Images of {'whole numbers' if whole else 'floats'} are sRGB from 0 to {most} to "
             f"skyproof, got {values.min():.4g} to {values.max():.4g}; bring them into that range."
         )
-    if whole:
-        return torch.from_numpy(values.astype(np.uint8))
-    return torch.from_numpy((values.astype(np.float32) * 255).round().astype(np.uint8))
+    shown = values if whole else (values.astype(np.float32) * 255).round()
+    return torch.from_numpy(shown.astype(np.uint8))
 
 
 def found_vehicles(target: Any, labels: Sequence[int]) -> Detections:
