@@ -150,17 +150,14 @@ class Request:
                 "a detector that comes with skyproof (retinanet, faster_rcnn)."
             )
         if folder.is_dir():
-            given = {
-                "--vehicle-classes": self.vehicle_classes,
-                "--architecture": self.architecture,
-                "--detector-gsd": self.detector_gsd,
-            }
-            option = next((option for option, value in given.items() if value), None)
-            if option is not None:
-                raise ConfigurationError(
-                    f"{option} is for checkpoint files, and {place} is a folder, which says it "
-                    "itself; leave the option out."
-                )
+            given = (self.vehicle_classes, self.architecture, self.detector_gsd)
+            options = ("--vehicle-classes", "--architecture", "--detector-gsd")
+            for option, value in zip(options, given, strict=True):
+                if value:
+                    raise ConfigurationError(
+                        f"{option} is for checkpoint files, and {place} is a folder, which says it "
+                        "itself; leave the option out."
+                    )
         elif place.suffix.lower() == ".onnx" and (self.architecture or len(self.detectors) > 1):
             raise ConfigurationError(
                 f"{place} is an ONNX file, which is assessed alone and holds its architecture; "
