@@ -81,12 +81,9 @@ class Score(Rendering):
         baselines = read_frames(self.frames, self.frame_classes, gsd_m)
         worn = {folder: load_camouflage(folder) for folder in self.camouflages}
         scenes = [] if original is None else original.scenes
-        sources: dict[str, None] = {}
-        backgrounds = None
-        if self.backgrounds is not None:
-            backgrounds = BackgroundSet.open(self.backgrounds)
-            tiles = dict.fromkeys(scene.background.tile for scene in scenes)
-            sources = dict.fromkeys(backgrounds.tile(name).source for name in tiles)
+        backgrounds = None if self.backgrounds is None else BackgroundSet.open(self.backgrounds)
+        tiles = dict.fromkeys(scene.background.tile for scene in scenes)
+        shown = [backgrounds.tile(name).source for name in tiles] if backgrounds else []
         with ExitStack() as opened, progress_bar("score") as update:
             stage = None
             if backgrounds is not None and self.fleet is not None and original is not None:
@@ -102,7 +99,7 @@ class Score(Rendering):
                 unchanged=original,
                 baselines=baselines,
                 seed=self.seed,
-                sources=list(sources),
+                sources=list(dict.fromkeys(shown)),
                 worn=worn,
                 progress=update,
             )
