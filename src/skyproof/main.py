@@ -19,7 +19,7 @@ from skyproof.ranges import check_ranges
 COMMANDS: dict[str, dict[str, str]] = {
     "Whole runs": {
         "demo": "skyproof.assessment.command:Demo",
-        "assess": "skyproof.assessment.command:Assess",
+        "assess": "skyproof.assessment.command:Request",
         "reproduce": "skyproof.reproduction.command:Reproduce",
         "report": "skyproof.cli.report:Report",
     },

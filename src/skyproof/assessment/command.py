@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from skyproof.results.statistics.acceptance import Requirement
 
 _Class = Annotated[str, Meta(max_length=200)]
-_UNDECIDED = ("out", "device", "cycles", "blender", "go_on")
+_UNDECIDED = ("out", "device", "cycles", "blender", "go_on", "plan")
 """Options that change no results: where a run is computed, and what is added to it."""
 
 _OPTIONS = {
@@ -54,7 +54,11 @@ def own_options() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Request:
-    """The detectors, the imagery and the requirement of an assessment.
+    """Tests detectors on your imagery with a fixed suite of attacks, and accepts or rejects them.
+
+    It tiles the imagery, clears it of vehicles, freezes thresholds on its labels, prechecks the
+    detectors, and measures every attack beside its controls. A stopped run resumes with the same
+    command.
 
     Attributes:
         detectors: detector folders, "retinanet" or "faster_rcnn", which are attacked together and
@@ -83,6 +87,7 @@ class Request:
             passed its precheck and a verdict was asked for.
         seed: seed of everything that is drawn.
         device: auto, cpu or cuda.
+        plan: only estimate the scenes, tiles and time that the request needs.
     """
 
     detectors: Positional[tuple[Path, ...]]
@@ -103,6 +108,16 @@ class Request:
     go_on: bool = False
     seed: Seed = 0
     device: str = "auto"
+    plan: bool = False
+
+    def run(self) -> None:
+        """Runs all unfinished steps, and prints the answer."""
+        from skyproof.assessment.assess import plan_assessment, run_assessment
+
+        if self.plan:
+            plan_assessment(self)
+        else:
+            run_assessment(self)
 
     @property
     def requirement(self) -> "Requirement | None":
@@ -176,30 +191,6 @@ class Request:
         else:
             remedy = "it is called like the run folder, so choose another --out"
             require_detector_name(self.checkpoint_name, remedy)
-
-
-@dataclass(frozen=True)
-class Assess(Request):
-    """Tests detectors on your imagery with a fixed suite of attacks, and accepts or rejects them.
-
-    It tiles the imagery, clears it of vehicles, freezes thresholds on its labels, prechecks the
-    detectors, and measures every attack beside its controls. A stopped run resumes with the same
-    command.
-
-    Attributes:
-        plan: only estimate the scenes, tiles and time that the request needs.
-    """
-
-    plan: bool = False
-
-    def run(self) -> None:
-        """Runs all unfinished steps, and prints the answer."""
-        from skyproof.assessment.assess import plan_assessment, run_assessment
-
-        if self.plan:
-            plan_assessment(self)
-        else:
-            run_assessment(self)
 
 
 @dataclass(frozen=True)
