@@ -183,15 +183,12 @@ def _joined(name: str, tensors: Mapping[str, Tensor], plain: Mapping[str, Any]) 
     """Rebuilds the nested dictionaries of one part."""
     state: dict[str, Any] = {}
     for path, value in (*plain.items(), *tensors.items()):
-        part, *keys = path.split("/")
-        if part != name or not keys:
+        part, *texts = path.split("/")
+        if part != name or not texts:
             continue
+        *above, last = (int(text[1:]) if text.startswith("#") else text for text in texts)
         branch: dict[Any, Any] = state
-        for key in keys[:-1]:
-            branch = branch.setdefault(_key(key), {})
-        branch[_key(keys[-1])] = value
+        for key in above:
+            branch = branch.setdefault(key, {})
+        branch[last] = value
     return state
-
-
-def _key(text: str) -> str | int:
-    return int(text[1:]) if text.startswith("#") else text
