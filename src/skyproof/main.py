@@ -172,12 +172,8 @@ def _as_typed(message: str, words: Sequence[str]) -> str:
     """Names the option that a message begins with as typed: "steps" becomes "--settings.steps"."""
     field, space, rest = message.partition(" ")
     options = [word.partition("=")[0] for word in words[1:] if word.startswith("--")]
-    typed = [
-        option
-        for option in options
-        if option.lstrip("-").rpartition(".")[2].replace("-", "_") == field
-    ]
-    return f"{typed[-1]}{space}{rest}" if typed else message
+    typed = {option.lstrip("-").rpartition(".")[2].replace("-", "_"): option for option in options}
+    return f"{typed[field]}{space}{rest}" if field in typed else message
 
 
 def _overview(commands: Commands) -> str:
