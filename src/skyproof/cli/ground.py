@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -18,11 +19,8 @@ from skyproof.scenes.sensor import PAPER_BLUR_SIGMA_PX, BlurChoice
 from skyproof.scenes.splits import SPLITS
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
-
     from skyproof.imagery.labels.label import Labels
     from skyproof.imagery.tiles.sources import Source
-    from skyproof.imagery.tiles.tiling import TilingRecord
 
 
 @dataclass(frozen=True)
@@ -67,15 +65,11 @@ class Ground:
 
         The images may have been `inspected` before, and notes on them `told`.
         """
-        from skyproof.imagery.words import tiling_words
         from skyproof.scenes.background_index import change_sensors
 
         with finished_folder(self.out) as folder:
             if self.sources:
-                labelled = self.labels.path is not None
-                record = self._cut(folder, inspected)
-                for line in tiling_words(record, labelled=labelled, told=told):
-                    say(line)
+                self._cut(folder, inspected, told)
             else:
                 self._draw(folder)
             chosen = self.blur_sigma_px
@@ -94,9 +88,10 @@ class Ground:
                 folder, counts, size_px, seed=self.seed, gsd_m=gsd_m, progress=update
             )
 
-    def _cut(self, folder: Path, inspected: Sequence[Source] | None) -> TilingRecord:
+    def _cut(self, folder: Path, inspected: Sequence[Source] | None, told: Collection[str]) -> None:
         from skyproof.imagery.labels.files import read_labels
         from skyproof.imagery.tiles.tiling import tile_imagery
+        from skyproof.imagery.words import tiling_words
         from skyproof.randomness import generator_of
 
         path = self.labels.path
@@ -104,7 +99,7 @@ class Ground:
         if inspected is None:
             inspected = inspect_shown(self.sources, self.source, labels and labels[0])
         with progress_bar("ground tiles") as update:
-            return tile_imagery(
+            record = tile_imagery(
                 self.sources,
                 folder,
                 settings=self.tiling,
@@ -114,6 +109,8 @@ class Ground:
                 sources=inspected,
                 progress=update,
             )
+        for line in tiling_words(record, labelled=labels is not None, told=told):
+            say(line)
 
 
 def inspect_shown(
