@@ -62,7 +62,7 @@ def attack(
 
     def work() -> None:
         detectors = its.references if transfer else its.detectors
-        maker = Maker(detectors, its.world, settings, its.device, its.palette(name))
+        maker = Maker(detectors, its.world, settings, its.device, its.palette)
         texture = None if under is None else load_camouflage(under)
         maker.make(name, folder, draws=best_of, texture=texture)
 
@@ -89,7 +89,7 @@ def query(its: Subject, name: CamouflageName, start: CamouflageName | None = Non
     def work() -> None:
         if start is None:
             generator = generator_of(its.seed, "texture", str(name))
-            base = make_camouflage(name, generator=generator, palette=its.palette(name))
+            base = make_camouflage(name, generator=generator, palette=its.palette)
         else:
             base = load_camouflage(made / str(start))
             base.name = name
@@ -124,8 +124,8 @@ def _drawn(its: Subject, texts: Sequence[str], texture: str | None = None) -> St
     def work() -> None:
         under = None if texture is None else load_camouflage(layout.camouflage(texture))
         for name in names:
-            folder, palette = layout.camouflage(str(name)), its.palette(name)
-            draw_random_control(name, folder, seed=its.seed, palette=palette, texture=under)
+            folder = layout.camouflage(str(name))
+            draw_random_control(name, folder, seed=its.seed, palette=its.palette, texture=under)
 
     return Step(
         "control",

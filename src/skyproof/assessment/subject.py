@@ -15,7 +15,6 @@ from torch import Tensor
 from skyproof.assessment.command import Request
 from skyproof.assessment.suite import Suite, side_px
 from skyproof.attacks.world import World
-from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.palette import ground_palette
 from skyproof.cli.ground import inspect_shown
 from skyproof.detectors.answers import BlackBoxDetector
@@ -165,12 +164,9 @@ class Subject:
             places=self.places,
         )
 
-    def palette(self, name: CamouflageName) -> Float[Tensor, "colours 3"] | None:
-        """The ground's colours, for a camouflage with a palette."""
-        return self._ground_palette if name.takes_palette else None
-
     @cached_property
-    def _ground_palette(self) -> Float[Tensor, "colours 3"]:
+    def palette(self) -> Float[Tensor, "colours 3"]:
+        """The ground's colours; a camouflage without a palette takes none of them."""
         return ground_palette(self.world.backgrounds)
 
 
