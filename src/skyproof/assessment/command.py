@@ -219,12 +219,5 @@ class Demo:
         from skyproof.assessment.assess import run_assessment
         from skyproof.assessment.suite import DEMO_SUITE
 
-        request = Request(
-            tuple(map(reference_folder, REFERENCE_DETECTORS)),
-            self.out,
-            seed=self.seed,
-            device=self.device,
-            cycles=self.cycles,
-            blender=self.blender,
-        )
-        run_assessment(request, DEMO_SUITE)
+        detectors = tuple(map(reference_folder, REFERENCE_DETECTORS))
+        run_assessment(Request(detectors, **vars(self)), DEMO_SUITE)
