@@ -258,17 +258,11 @@ def scenes(its: Subject, layout: Layout, split: Shown, title: str = "") -> Step:
             why = _FEW if its.labelled else "there are no labels"
             if split != "empty":
                 say(f"  note: {_STAND[places].format(why=why)}")
-        draw_scenes(
-            backgrounds=layout.backgrounds,
-            fleet=layout.fleets / ground,
-            out=out,
-            split=ground,
-            count=images,
-            settings=SceneSettings(
-                size_px=its.image_px, places=places, empty_share=float(split == "empty")
-            ),
-            seed=its.seed,
+        settings = SceneSettings(
+            size_px=its.image_px, places=places, empty_share=float(split == "empty")
         )
+        fleet = layout.fleets / ground
+        draw_scenes(layout.backgrounds, fleet, out, ground, images, settings, its.seed)
 
     return Step("scenes", title or split, (out,), work, (its.image_px, count, its.seed))
 

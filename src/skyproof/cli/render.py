@@ -125,7 +125,6 @@ def sampled_scenes(
 
 
 def draw_scenes(
-    *,
     backgrounds: Path,
     fleet: Path,
     out: Path,
