@@ -127,19 +127,18 @@ def _vehicle_labels(
             "which labels are vehicles; add it, such as {0: 'vehicle'}."
         )
     named = ", ".join(map(str, known.values()))
-    if not vehicle_classes and len(known) == 1:
-        return [int(label) for label in known]
-    if not vehicle_classes:
+    if not vehicle_classes and len(known) > 1:
         raise ConfigurationError(
             f"The MAITE model {name} knows {len(known)} classes ({named}); say with "
             "vehicle_classes which of them are vehicles."
         )
-    missing = next((each for each in vehicle_classes if each not in known.values()), None)
+    wanted = vehicle_classes or [*known.values()]
+    missing = next((each for each in wanted if each not in known.values()), None)
     if missing is not None:
         raise ConfigurationError(
             f"The MAITE model {name} knows no class {missing!r}; choose from {named}."
         )
-    return [int(label) for label, text in known.items() if text in vehicle_classes]
+    return [int(label) for label, text in known.items() if text in wanted]
 
 
 def _bytes_of(image: Any) -> UInt8[Tensor, "3 H W"]:
