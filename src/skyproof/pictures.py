@@ -166,7 +166,6 @@ def _loaded(
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             picture.load()
-            # A conversion copies even if there is nothing to convert.
             return picture if picture.mode == mode else picture.convert(mode)
     except Exception as damage:
         # Damage makes Pillow's decoders, too, raise any exception.
