@@ -111,7 +111,6 @@ class Request:
     plan: bool = False
 
     def run(self) -> None:
-        """Runs all unfinished steps, and prints the answer."""
         from skyproof.assessment.assess import plan_assessment, run_assessment
 
         if self.plan:
@@ -215,7 +214,6 @@ class Demo:
     blender: Path | None = None
 
     def run(self) -> None:
-        """Runs all unfinished steps, and prints the answer."""
         from skyproof.assessment.assess import run_assessment
         from skyproof.assessment.suite import DEMO_SUITE
 

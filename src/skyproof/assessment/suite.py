@@ -33,7 +33,6 @@ class AttackSteps:
     parallel: Count
 
     def of(self, name: CamouflageName) -> int:
-        """The steps of an attack."""
         if name.kind == "combination":
             return self.sequential if name.order == "seq" else self.parallel
         return self.texture if name.kind == "texture" else self.shape
@@ -94,7 +93,6 @@ class Suite:
         return [CamouflageName.parse(text) for text in self.attacks]
 
     def attack(self, name: CamouflageName, seed: int) -> AttackSettings:
-        """The settings of an attack."""
         return replace(self.settings, steps=self.steps.of(name), seed=seed)
 
     def chosen_controls(self, seed: int, searches: int) -> dict[CamouflageName, AttackSettings]:

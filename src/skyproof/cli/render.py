@@ -58,7 +58,6 @@ class Render(Rendering):
     device: str = "auto"
 
     def run(self) -> None:
-        """Renders the dataset."""
         from skyproof.camouflage.folder import load_camouflage
         from skyproof.camouflage.random_controls import RandomPatterns
         from skyproof.cycles.renderer import open_renderer

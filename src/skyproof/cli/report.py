@@ -29,7 +29,6 @@ class Report:
     consumer_risk: Risk = 0.05
 
     def run(self) -> None:
-        """Writes the results and the page."""
         from skyproof.report.report import write_report
         from skyproof.results.statistics.acceptance import requirement_of
 
