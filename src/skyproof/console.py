@@ -42,10 +42,8 @@ def shortened(text: str, most: int) -> str:
 
 def _shown(line: str, most: int) -> str:
     """Makes a line safe to print: names in files may hold what moves a terminal's cursor."""
-    signs = (
-        sign if sign.isprintable() or sign == _THIN_SPACE else "?" for sign in shortened(line, most)
-    )
-    return "".join(signs)
+    line = shortened(line, most)
+    return "".join(sign if sign.isprintable() or sign == _THIN_SPACE else "?" for sign in line)
 
 
 def _print(line: str, stream: Any) -> None:

@@ -64,13 +64,11 @@ def say_answers(layout: Layout, camouflages: Collection[str]) -> None:
     answers = _read(layout)
     lenient = answers.of(camouflages, LENIENT_MATCH)
     for place, row in answers.of(camouflages, MAIN_MATCH).items():
-        where = _where(row.renderer)
         lenient_easr = lenient[place].easr if place in lenient else None
         say(
             f"  {detector_name(row.detector):<12} {row.camouflage} {hides(row.easr)}"
-            f"{where} (95 % interval {interval(row.easr_low, row.easr_high)}), "
-            "net of the strongest control "
-            f"{percent(row.net_strongest_control_easr)}"
+            f"{_where(row.renderer)} (95 % interval {interval(row.easr_low, row.easr_high)}), net "
+            f"of the strongest control {percent(row.net_strongest_control_easr)}"
             + ("" if lenient_easr is None else f", by the lenient rule {percent(lenient_easr)}")
         )
     for worst in answers.worst_cases:
