@@ -1,5 +1,6 @@
 """Camouflages as a capability of checkmaite, which only this file imports, by an entry point."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import maite.protocols.object_detection as od
@@ -62,15 +63,7 @@ class SkyproofCamouflageRun(CapabilityRunBase[SkyproofCamouflageConfig, Skyproof
         interval = "95 % interval"
         headers = ("Dataset", "ASR", interval, "EASR", interval, "Found before", "Limit")
         rows = [
-            (
-                name,
-                _percent(row["asr"]),
-                _interval(row, "asr"),
-                _percent(row["easr"]),
-                _interval(row, "easr"),
-                row["found_before"],
-                _met(row, threshold),
-            )
+            (name, *_rates(row), row["found_before"], _met(row, threshold))
             for name, row in self.outputs.hidden.items()
         ]
         lines = [headers, ("--",) * len(headers), *rows]
@@ -162,8 +155,11 @@ def _percent(value: float | None) -> str:
     return "not known" if value is None else f"{100 * value:.0f} %"
 
 
-def _interval(row: _Row, key: str) -> str:
-    return f"{_percent(row[f'{key}_low'])} to {_percent(row[f'{key}_high'])}"
+def _rates(row: _Row) -> Iterator[str]:
+    """Yields ASR and EASR, each with its interval."""
+    for key in ("asr", "easr"):
+        yield _percent(row[key])
+        yield f"{_percent(row[f'{key}_low'])} to {_percent(row[f'{key}_high'])}"
 
 
 def _met(row: _Row, threshold: float) -> str:
