@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from skyproof.scenes.backgrounds import BackgroundSet
     from skyproof.vehicles.fleet import Fleet
 
-
 _USUAL_SCENES = SceneSettings(size_px=192)
 
 
@@ -88,8 +87,8 @@ class Render(Rendering):
         say(f"Dataset: {self.out.resolve()}")
 
     def _refuse_sampling_beside_a_file(self) -> None:
-        usual = (("split", "test"), ("count", 120), ("settings", _USUAL_SCENES), ("seed", 0))
-        given = [name for name, value in usual if getattr(self, name) != value]
+        names = ("split", "count", "settings", "seed")
+        given = [name for name in names if getattr(self, name) != getattr(Render, name)]
         if self.scenes is not None and given:
             raise ConfigurationError(
                 f"--{given[0]} is for sampled scenes, and --scenes reads {self.scenes}; leave one "
