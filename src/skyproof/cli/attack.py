@@ -72,7 +72,6 @@ class Attack:
     device: str = "auto"
 
     def run(self) -> None:
-        """Makes the camouflages that are not finished yet."""
         names = [CamouflageName.parse(name) for name in self.names]
         if not names:
             raise ConfigurationError("Expected at least one name of a camouflage, such as T-U.")

@@ -49,7 +49,6 @@ class Clear:
             )
 
     def run(self) -> None:
-        """Clears the folder, or takes rejected tiles out of it."""
         if self.out is None:
             self._reject()
             return

@@ -49,7 +49,6 @@ class Import:
     device: str = "auto"
 
     def run(self) -> None:
-        """Converts and validates the detector, writes its folder, prints how good it is."""
         from skyproof.datasets.dataset import Dataset
         from skyproof.detectors.import_checkpoint import Checkpoint, import_detector
         from skyproof.device import choose_device

@@ -43,7 +43,6 @@ class Train:
     device: str = "auto"
 
     def run(self) -> None:
-        """Trains the detector, and prints how good it is on the validation images."""
         from skyproof.datasets.dataset import Dataset
         from skyproof.detectors.loaded import build_detector, load_ensemble
         from skyproof.detectors.training import train
