@@ -108,11 +108,8 @@ def say_expected(layout: Layout, suite: Suite) -> None:
                 "reason before you trust a verdict from this machine."
             )
     if compared:
-        weak = sum(bool(one["weaker"]) for one in compared)
-        say(
-            f"  Attacks as strong as on the suite's own machine: {len(compared) - weak} of "
-            f"{len(compared)}."
-        )
+        strong = sum(not one["weaker"] for one in compared)
+        say(f"  Attacks as strong as on the suite's own machine: {strong} of {len(compared)}.")
         write_json(layout.folder / "suite.json", {"version": suite.version, "rows": compared})
 
 
