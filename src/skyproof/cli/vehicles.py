@@ -89,18 +89,16 @@ class Vehicles:
         fleets = [Fleet.load(source) for source in self.sources if source.is_dir()]
         meshes = [source for source in self.sources if not source.is_dir()]
         wrapped = self._wrap(meshes) if meshes else {}
-        reports = {
-            vehicle_id: {**vehicle.report, "licence": self.wrapping.licence}
-            for vehicle_id, vehicle in wrapped.items()
-        }
-        fleet = mix_fleets([_fleet_of(wrapped, reports), *fleets] if wrapped else fleets)
+        reports = {vehicle_id: vehicle.report for vehicle_id, vehicle in wrapped.items()}
+        fleet = mix_fleets([_fleet_of(wrapped), *fleets] if wrapped else fleets)
         if wrapped:
             _say_reports(reports)
             self._refuse_bad_fits(reports)
         with finished_folder(self.out) as folder:
             fleet.write_into(folder)
             if wrapped:
-                _write_pictures(folder, wrapped, reports, fleet)
+                write_json(folder / "wrap.json", reports)
+                _write_turntables(folder / "turntable.png", wrapped, fleet)
         advice = " (look at turntable.png)" if wrapped else ""
         say(f"Fleet of {len(fleet)}: {self.out.resolve()}{advice}")
 
@@ -114,9 +112,10 @@ class Vehicles:
                 # The name becomes a part of ids and file names.
                 plain = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:100].strip("-")
                 vehicle_id = f"{plain or 'vehicle'}-{how.first_number + len(wrapped):04d}"
-                wrapped[vehicle_id] = wrap_mesh(
+                made = wrap_mesh(
                     path, scale=scale, up=how.up, forward=how.forward, paintable=how.paintable
                 )
+                wrapped[vehicle_id] = replace(made, report=made.report | {"licence": how.licence})
                 update(len(wrapped), len(meshes))
         return wrapped
 
@@ -160,7 +159,7 @@ def draw_fleets(
     say(f"Fleets of {', '.join(map(str, counts))} vehicles: {out.resolve()}")
 
 
-def _fleet_of(wrapped: dict[str, WrappedVehicle], reports: dict[str, dict[str, Any]]) -> Fleet:
+def _fleet_of(wrapped: dict[str, WrappedVehicle]) -> Fleet:
     import torch
 
     from skyproof.vehicles.fleet import Fleet
@@ -175,30 +174,24 @@ def _fleet_of(wrapped: dict[str, WrappedVehicle], reports: dict[str, dict[str, A
         torch.stack([vehicle.texture for vehicle in vehicles]),
         torch.stack([vehicle.parts for vehicle in vehicles]),
         {
-            vehicle_id: {"mesh": report["mesh"], "licence": report["licence"]}
-            for vehicle_id, report in reports.items()
+            vehicle_id: {key: vehicle.report[key] for key in ("mesh", "licence")}
+            for vehicle_id, vehicle in wrapped.items()
         },
     )
 
 
-def _write_pictures(
-    folder: Path,
-    wrapped: dict[str, WrappedVehicle],
-    reports: dict[str, dict[str, Any]],
-    fleet: Fleet,
-) -> None:
+def _write_turntables(path: Path, wrapped: dict[str, WrappedVehicle], fleet: Fleet) -> None:
     import numpy as np
     from PIL import Image
 
     from skyproof.render.portrait import turntable_row
 
-    write_json(folder / "wrap.json", reports)
     rows = []
-    for vehicle_id, report in reports.items():
-        fit = f"IoU from above {report['iou_above']:.3f}"
-        caption = f"{vehicle_id}   {_size(report)}   {fit}   {report['mesh']}"
-        rows.append(turntable_row(wrapped[vehicle_id].mesh, fleet.batch([vehicle_id]), caption))
-    Image.fromarray(np.concatenate(rows)).save(folder / "turntable.png")
+    for vehicle_id, vehicle in wrapped.items():
+        fit = f"IoU from above {vehicle.report['iou_above']:.3f}"
+        caption = f"{vehicle_id}   {_size(vehicle.report)}   {fit}   {vehicle.report['mesh']}"
+        rows.append(turntable_row(vehicle.mesh, fleet.batch([vehicle_id]), caption))
+    Image.fromarray(np.concatenate(rows)).save(path)
 
 
 def _size(report: dict[str, Any]) -> str:
