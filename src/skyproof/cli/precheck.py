@@ -17,7 +17,7 @@ from skyproof.detectors.card import detector_folder, read_card
 from skyproof.device import choose_device
 from skyproof.errors import ConfigurationError, RunFolderError
 from skyproof.ranges import Count, Seed
-from skyproof.scenes.scene import Scene, read_scenes
+from skyproof.scenes.scene import read_scenes
 from skyproof.scenes.settings import SceneSettings
 
 if TYPE_CHECKING:
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from skyproof.detectors.detector import Detector
     from skyproof.measure.precheck import PrecheckScenes
     from skyproof.results.precheck import MeasuredOn, PrecheckRecord
-    from skyproof.scenes.backgrounds import BackgroundSet
-    from skyproof.vehicles.fleet import Fleet
 
 
 @dataclass(frozen=True)
@@ -91,21 +89,18 @@ class Precheck:
         device = choose_device(self.device)
         backgrounds = BackgroundSet.open(self.backgrounds)
         fleet = Fleet.load(self.fleet)
-        scenes = self._scenes(backgrounds, fleet)
+        if self.scenes is not None:
+            scenes = read_scenes(self.scenes)[: self.scenes_count]
+        else:
+            size_px = self.image_px or min(read_card(self.detectors[0]).image_size_px)
+            usual, count, seed = SceneSettings(size_px=size_px), self.scenes_count, self.seed
+            scenes = sampled_scenes(usual, backgrounds, fleet, "test", count, seed, name="check")
         frames = read_frames(self.frames, self.frame_classes, backgrounds.gsd_m)
         data = PrecheckScenes(backgrounds, fleet, scenes, self.draws, frames, self.seed)
         records = self._checked(data, device, loaded)
         for folder in self.detectors:
             for line in precheck_lines(records[folder], read_card(folder).doubts):
                 say(line)
-
-    def _scenes(self, backgrounds: BackgroundSet, fleet: Fleet) -> list[Scene]:
-        """The scenes of the file, or drawn ones."""
-        if self.scenes is not None:
-            return read_scenes(self.scenes)[: self.scenes_count]
-        size_px = self.image_px or min(read_card(self.detectors[0]).image_size_px)
-        usual, count = SceneSettings(size_px=size_px), self.scenes_count
-        return sampled_scenes(usual, backgrounds, fleet, "test", count, self.seed, name="check")
 
     def _checked(
         self, data: PrecheckScenes, device: torch.device, loaded: Sequence[Detector]
