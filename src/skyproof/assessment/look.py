@@ -151,7 +151,7 @@ def _look_at_imagery(its: Subject, mistakes: list[SkyproofError]) -> tuple[int, 
             settings = LabelSettings(request.labels, request.label_classes)
             placed = PlacedLabels(its.labels, settings, sources, cells) if cells else None
             # A wrong resolution may be why no tile fits.
-            sentences.append(_labels(its.labels, settings, sources, grids, its))
+            sentences.append(_labels(its.labels, settings, grids, its))
             if placed is not None:
                 its.told.extend(placed.notes)
                 sentences += [*_on_tiles(placed, cells), *merged_notes(placed.notes)]
@@ -190,16 +190,10 @@ def _ground_m2(sources: Sequence[Source]) -> float:
     return sum(union_all(outlines).area for outlines in shown.values())
 
 
-def _labels(
-    labels: Labels,
-    settings: LabelSettings,
-    sources: Sequence[Source],
-    grids: Sequence[Grid],
-    its: Subject,
-) -> str:
+def _labels(labels: Labels, settings: LabelSettings, grids: Sequence[Grid], its: Subject) -> str:
     """States the number and length of labelled vehicles, and refuses impossible lengths."""
     classes = vehicle_classes(labels, settings)
-    lengths_m, count = _lengths_m(labels, classes, sources, grids)
+    lengths_m, count = _lengths_m(labels, classes, its.inspected, grids)
     number = counted(count, "labelled vehicle")
     if len(lengths_m) < _FEW:
         return number
