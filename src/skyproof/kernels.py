@@ -145,15 +145,13 @@ def _folder() -> str:
     return str(wp.config.kernel_cache_dir)
 
 
-def _compile_elsewhere() -> None:
-    _refused.append(_folder())
-    wp.config.kernel_cache_dir = _temporary_folder().name
-
-
 @cache
-def _temporary_folder() -> tempfile.TemporaryDirectory[str]:
-    """Makes a folder that is removed when the program ends."""
-    return tempfile.TemporaryDirectory(prefix="skyproof-kernels-")
+def _compile_elsewhere() -> tempfile.TemporaryDirectory[str]:
+    """Chooses another folder, which is removed when the program and with it the cache end."""
+    _refused.append(_folder())
+    folder = tempfile.TemporaryDirectory(prefix="skyproof-kernels-")
+    wp.config.kernel_cache_dir = folder.name
+    return folder
 
 
 @contextmanager
