@@ -105,7 +105,6 @@ class Suite:
         }
 
     def random_controls(self) -> list[str]:
-        """The names of the random controls."""
         names = dict.fromkeys(name.control for name in self.names)
         return [str(name.with_repeat(draw)) for name in names for draw in range(self.draws)]
 
