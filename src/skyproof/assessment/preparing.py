@@ -217,8 +217,7 @@ def fleets(its: Subject, layout: Layout, title: str = "fleets") -> Step:
     def work() -> None:
         worn = None
         if of_place:
-            tiles, cleared = map(BackgroundSet.open, (layout.tiles, layout.backgrounds))
-            worn = worn_paints(tiles, cleared)
+            worn = worn_paints(*map(BackgroundSet.open, (layout.tiles, layout.backgrounds)))
             if len(worn) < _FEWEST_LABELS:
                 say(
                     f"  note: {counted(len(worn), 'labelled vehicle')} show their paint, and "
@@ -262,7 +261,9 @@ def scenes(its: Subject, layout: Layout, split: Shown, title: str = "") -> Step:
             size_px=its.image_px, places=places, empty_share=float(split == "empty")
         )
         fleet = layout.fleets / ground
-        draw_scenes(layout.backgrounds, fleet, out, ground, images, settings, its.seed)
+        draw_scenes(
+            layout.backgrounds, fleet, out, ground, count=images, settings=settings, seed=its.seed
+        )
 
     return Step("scenes", title or split, (out,), work, (its.image_px, count, its.seed))
 
