@@ -1,7 +1,7 @@
 """Weak attacks: those that another camouflage within their constraints beats."""
 
 from skyproof.camouflage.name import CamouflageName
-from skyproof.results.result import MAIN_MATCH, Result
+from skyproof.results.result import MAIN_MATCH
 from skyproof.results.results import Results
 from skyproof.words import percent
 
@@ -18,7 +18,14 @@ def weak_attacks(results: Results) -> list[str]:
         name = row.camouflage
         if name.variant:
             continue
-        rates = {str(other.camouflage): other.easr.estimate for other in _within(row, results)}
+        rates = {
+            str(other.camouflage): other.easr.estimate
+            for other in results.rows
+            if (other.renderer, other.detector) == (row.renderer, row.detector)
+            and other.match == MAIN_MATCH
+            and other.camouflage != name
+            and _meets(other.camouflage, name)
+        }
         if row.strongest is not None and _meets(row.strongest.control, name):
             rates[str(row.strongest.control)] = row.strongest.easr
         best = max(rates, key=lambda other: rates[other], default=None)
@@ -28,17 +35,6 @@ def weak_attacks(results: Results) -> list[str]:
                 f"{percent(rates[best])}"
             )
     return sentences
-
-
-def _within(row: Result, results: Results) -> list[Result]:
-    """Returns the rows to compare with one: of other camouflages that meet its constraints."""
-    return [
-        other
-        for other in results.rows
-        if (other.renderer, other.detector, other.match) == (row.renderer, row.detector, MAIN_MATCH)
-        and other.camouflage != row.camouflage
-        and _meets(other.camouflage, row.camouflage)
-    ]
 
 
 def _meets(other: CamouflageName, name: CamouflageName) -> bool:
