@@ -252,13 +252,7 @@ def mcnemar_p(lost: int, gained: int) -> float:
     Its hypothesis is that as many vehicles are lost as gained. Vehicles count as independent here;
     trust the interval more where a tile holds many of them.
     """
-    # Its import takes as long as some steps, and the first look does not need it.
-    from scipy import stats
-
-    discordant = lost + gained
-    if not discordant:
-        return 1.0
-    return min(1.0, 2 * float(stats.binom.cdf(min(lost, gained), discordant, 0.5)))
+    return min(1.0, 2 * float(special.bdtr(min(lost, gained), lost + gained, 0.5)))
 
 
 def control_p(
