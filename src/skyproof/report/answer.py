@@ -175,13 +175,12 @@ def _sure(rate: Interval) -> str:
 class Compared:
     """One detector's rows under two renderers, and by how much EASR and net EASR change."""
 
-    detector: str
     first: Result
     second: Result
     first_random: Result | None
     second_random: Result | None
-    change: Interval | None
-    net_change: Interval | None
+    change: RendererChange | None
+    net_change: RendererChange | None
 
 
 def compare_renderers(results: Results, first: Result, second: Result) -> list[Compared]:
@@ -189,17 +188,28 @@ def compare_renderers(results: Results, first: Result, second: Result) -> list[C
     others = {row.detector: row for row in results.by_detector(second)}
     return [
         Compared(
-            detector=row.detector,
-            first=row,
-            second=other,
-            first_random=results.control(row),
-            second_random=results.control(other),
-            change=_difference(results, row, other),
-            net_change=_difference(results, row, other, net=True),
+            row, other, results.control(row), results.control(other), *changes(results, row, other)
         )
         for row in results.by_detector(first)
         if (other := others.get(row.detector)) is not None
     ]
+
+
+def changes(
+    results: Results, first: Result, second: Result
+) -> tuple[RendererChange | None, RendererChange | None]:
+    """Returns by how much EASR and net EASR change from one renderer to the other."""
+    gross, net = (
+        results.change(
+            [first.camouflage],
+            detector=first.detector,
+            net=net,
+            first=first.renderer,
+            second=second.renderer,
+        )
+        for net in (False, True)
+    )
+    return gross, net
 
 
 def survival(first: Result, gross: RendererChange | None, net: RendererChange | None) -> str:
@@ -227,17 +237,3 @@ def survival(first: Result, gross: RendererChange | None, net: RendererChange | 
         f"{lower} Random patterns hide more here; the share that {first.camouflage} hides does not "
         "clearly fall."
     )
-
-
-def _difference(
-    results: Results, first: Result, second: Result, *, net: bool = False
-) -> Interval | None:
-    change = results.change(
-        [first.camouflage],
-        detector=first.detector,
-        net=net,
-        first=first.renderer,
-        second=second.renderer,
-    )
-    known = change is not None and not math.isnan(change.difference.estimate)
-    return change.difference if change is not None and known else None

@@ -18,7 +18,7 @@ from skyproof.files import alone, inside, refuse_links, write_bytes
 from skyproof.layout import Layout
 from skyproof.report.acceptance import read_requirement, rule, scored_suite, write_verdict
 from skyproof.report.advice import advice, hardening, limits, readings
-from skyproof.report.answer import answer, compare_renderers, survival, worst_case
+from skyproof.report.answer import answer, changes, compare_renderers, survival, worst_case
 from skyproof.report.baseline import baseline_sets, precheck_part, real_data
 from skyproof.report.figures import (
     condition_figure,
@@ -225,13 +225,8 @@ class _Contents:
 
     def answer_beside(self, first: Result, second: Result) -> list[str]:
         """Returns the answer under the second renderer, and whether the success survives it."""
-        gross, net = (
-            self._results.change(
-                [first.camouflage], net=net, first=first.renderer, second=second.renderer
-            )
-            for net in (False, True)
-        )
-        return [*self.answer(second), survival(first, gross, net)]
+        survives = survival(first, *changes(self._results, first, second))
+        return [*self.answer(second), survives]
 
     def compared(self, first: Result, second: Result) -> Sequence[Any]:
         return compare_renderers(self._results, first, second)
