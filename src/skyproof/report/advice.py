@@ -65,30 +65,23 @@ def advice(rows: Sequence[Result]) -> list[str]:
     ]
 
 
-@dataclass(frozen=True)
-class Limits:
-    """Facts of a run that limit its numbers."""
-
-    attacked: Sequence[str]  # detectors that the attack was optimised against, if recorded
-    held_out: bool  # whether other detectors were scored
-    by_paper: Sequence[str]  # camouflages optimised by the paper's method
-    growing: Sequence[str]  # camouflages with a repeat that was still getting stronger
-    weak: Sequence[str]  # attacks that hide less than something they could have found
-    slim: Sequence[str]  # detectors that are reduced versions of the published networks
-
-
-def limits(results: Results, every: Sequence[Result]) -> Limits:
+def limits(results: Results, every: Sequence[Result]) -> dict[str, Any]:
     """Returns the facts that limit the numbers of the quoted results."""
-    return Limits(
-        _attacked(results, every[0].camouflage) if every else [],
-        any(name.variant.startswith(("on_", "without_")) for name in results.names),
-        _recorded(results, every, lambda record: record.method == "paper"),
-        _recorded(
+    slim = [name for name, card in results.cards.items() if card.size == "slim"]
+    return {
+        # Detectors that the attack was optimised against, if recorded.
+        "attacked": _attacked(results, every[0].camouflage) if every else [],
+        # Whether other detectors were scored.
+        "held_out": any(name.variant.startswith(("on_", "without_")) for name in results.names),
+        "by_paper": _recorded(results, every, lambda record: record.method == "paper"),
+        # Camouflages with a repeat that was still getting stronger.
+        "growing": _recorded(
             results, every, lambda r: r.convergence is not None and not r.convergence.converged
         ),
-        weak_attacks(results),
-        [words.detector_name(name) for name, card in results.cards.items() if card.size == "slim"],
-    )
+        "weak": weak_attacks(results),
+        # Reduced versions of the published networks.
+        "slim": [words.detector_name(name) for name in slim],
+    }
 
 
 def _recorded(
@@ -144,28 +137,23 @@ def hardening(results: Results, every: Sequence[Result]) -> Hardening | None:
 
 
 def readings(panels: Sequence[Panel]) -> list[str]:
-    """Says in one sentence per panel whether the intervals of its extreme bins are apart."""
+    """Says in one sentence per panel whether the intervals of its extreme bins are apart.
+
+    Panels of which fewer than two bins have an interval are left out.
+    """
     sentences = []
     for panel in panels:
-        extremes = _extremes(panel)
-        if extremes is None:
+        known = [bar for bar in panel.bins if bar.rate.low == bar.rate.low]
+        if len(known) < 2:
             continue
-        most, least = extremes
+        most = max(known, key=lambda bar: bar.rate.estimate)
+        least = min(known, key=lambda bar: bar.rate.estimate)
         reading = "no clear difference; the intervals overlap."
         if most.rate.low > least.rate.high:
             reading = f"most hidden at {_told(most)}, least at {_told(least)}; "
             reading += "the intervals do not overlap."
         sentences.append(f"{panel.title}: {reading}")
     return sentences
-
-
-def _extremes(panel: Panel) -> tuple[Bin, Bin] | None:
-    """Returns the bins where most and least is hidden; None where fewer than two have limits."""
-    known = [bar for bar in panel.bins if bar.rate.low == bar.rate.low]
-    if len(known) < 2:
-        return None
-    least = min(known, key=lambda bar: bar.rate.estimate)
-    return max(known, key=lambda bar: bar.rate.estimate), least
 
 
 def _told(bar: Bin) -> str:
