@@ -43,15 +43,6 @@ class BaselineRow:
     baselines: Sequence[Baseline | None]  # by detector; None where it was not measured
 
 
-@dataclass(frozen=True)
-class RealData:
-    """Clauses and sentences on the real data behind the numbers; empty where there is none."""
-
-    scores: str  # baseline on photographs
-    weak: str  # detectors with a low one
-    removed: str  # removal of vehicles from the photographs
-
-
 def baseline_sets(results: Results) -> list[BaselineRow]:
     """Lists the image sets of the baseline, rendered ones first, entries by detector."""
     sets = []
@@ -77,15 +68,19 @@ def _contents(baseline: Baseline) -> str:
     return "; ".join(part for part in parts if part)
 
 
-def real_data(results: Results) -> RealData:
-    """Describes the real data behind the report."""
+def real_data(results: Results) -> dict[str, str]:
+    """Describes the real data behind the report in clauses and sentences; empty without any.
+
+    These are the baseline on photographs, the detectors with a low one, and the removal of vehicles
+    from the photographs.
+    """
     real = [one for one in baseline_sets(results) if one.real]
     cut = bool(results.rows) and results.sources not in ([], ["procedural"])
-    return RealData(
-        _scores(real, results.all_detectors),
-        _weak(real, results.all_detectors),
-        _removed(results) if cut else "",
-    )
+    return {
+        "scores": _scores(real),
+        "weak": _weak(real, results.all_detectors),
+        "removed": _removed(results) if cut else "",
+    }
 
 
 class _Removed(Struct, frozen=True):
@@ -133,18 +128,17 @@ def _removed(results: Results) -> str:
     )
 
 
-def _scores(sets: Sequence[BaselineRow], detectors: Sequence[str]) -> str:
+def _scores(sets: Sequence[BaselineRow]) -> str:
     """Writes "an AP of 21 % (RetinaNet, 15 to 30 %) and … on KIT" for every set."""
     if not sets:
         return ""
     parts = []
     for one in sets:
         cells = []
-        for name, baseline in zip(detectors, one.baselines, strict=True):
-            if baseline is not None:
-                ap = baseline.ap_centre_1m
-                shown = "" if math.isnan(ap.low) else f", {interval(ap.low, ap.high)}"
-                cells.append(f"{percent(ap.estimate)} ({detector_name(name)}{shown})")
+        for baseline in filter(None, one.baselines):
+            ap = baseline.ap_centre_1m
+            shown = "" if math.isnan(ap.low) else f", {interval(ap.low, ap.high)}"
+            cells.append(f"{percent(ap.estimate)} ({detector_name(baseline.detector)}{shown})")
         parts.append(f"an AP of {listed(cells)} on {one.name}")
     return listed(parts)
 
