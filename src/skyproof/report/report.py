@@ -326,8 +326,8 @@ def _tested(results: Results, every: Sequence[Result]) -> str:
         return ""
     rows = results.by_detector(every[0])
     names = [words.detector_name(row.detector) for row in rows[: max(len(rows) - 1, 1)]]
-    many = "1 overhead vehicle detector" if len(names) == 1 else f"{len(names)} overhead vehicle"
-    many += " was" if len(names) == 1 else " detectors were"
+    many = words.counted(len(names), "overhead vehicle detector")
+    many += " was" if len(names) == 1 else " were"
     second = ""
     if len(results.renderers) > 1:
         second = " A second, physics-based renderer, Blender Cycles, drew the same scenes."
