@@ -171,19 +171,8 @@ def counter(progress: Callable[[int, int], None] | None, total: int) -> Callable
     return count
 
 
-_Draw = Callable[[Sequence[Scene]], Frames]
-
-
-@dataclass(frozen=True, eq=False)
-class _Batch:
-    """Scenes drawn under a change; black-box detectors have not seen them yet."""
-
-    change: SceneChange
-    scenes: Sequence[Scene]
-    draw: _Draw
-    frames: Frames
-    shown: Dataset
-    seen: SceneView | None
+_Batch = tuple[SceneChange, Callable[[Sequence[Scene]], Frames], Sequence[Scene]]
+"""A change, the function that draws scenes under it, and some scenes."""
 
 
 def _render_and_detect(
@@ -199,19 +188,18 @@ def _render_and_detect(
     trainable = several and all(isinstance(each, TrainableDetector) for each in detectors)
     count = min(threads, AT_A_TIME) if trainable else threads if several else 1
 
-    def work() -> Iterator[tuple[SceneChange, _Draw, Sequence[Scene]]]:
+    def work() -> Iterator[_Batch]:
         for change in changes:
             draw = stage.under(change)
             for start in range(0, len(scenes), _BATCH_SIZE):
                 yield change, draw, scenes[start : start + _BATCH_SIZE]
 
-    def draw_and_look(item: tuple[SceneChange, _Draw, Sequence[Scene]]) -> _Batch:
-        change, draw, batch = item
-        frames = draw(batch)
-        unlabelled = [torch.zeros(0, 4)] * len(batch)
+    def draw_and_look(batch: _Batch) -> tuple[_Batch, Frames, Dataset, SceneView | None]:
+        change, draw, some = batch
+        frames = draw(some)
+        unlabelled = [torch.zeros(0, 4)] * len(some)
         shown = Dataset.of_images(list(_bytes(frames)), unlabelled, gsd_m=gsd_m)
-        found = seen(change, shown) if trainable else None
-        return _Batch(change, batch, draw, frames, shown, found)
+        return batch, frames, shown, seen(change, shown) if trainable else None
 
     def seen(change: SceneChange, shown: Dataset) -> SceneView:
         return look(detectors, change.name, shown, other_classes=change.other_classes)
@@ -228,20 +216,20 @@ def _render_and_detect(
             found: dict[str, list[Detections]] = defaultdict(list)
             others: dict[str, list[Detections]] = defaultdict(list)
             # Asking for one batch more would delay the view until that batch is drawn.
-            for batch in itertools.islice(drawn, batches):
-                change, frames = batch.change, batch.frames
-                shown = batch.seen or seen(change, batch.shown)
-                for every, own in ((found, shown.found), (others, shown.others)):
+            for (change, draw, batch), frames, shown, known in itertools.islice(drawn, batches):
+                # Black-box detectors have not seen the images yet.
+                view = known or seen(change, shown)
+                for every, own in ((found, view.found), (others, view.others)):
                     for name, detections in own.items():
                         every[name] += detections
-                sizes = zip(batch.shown.sizes_px, batch.scenes, strict=True)
-                pictures += [_Rendered(size, partial(batch.draw, [one])) for size, one in sizes]
+                sizes = zip(shown.sizes_px, batch, strict=True)
+                pictures += [_Rendered(size, partial(draw, [one])) for size, one in sizes]
                 owner = frames.scene_index.cpu()
                 labels = _as_stored(frames.boxes.cpu())
-                boxes += [labels[owner == index] for index in range(len(batch.scenes))]
+                boxes += [labels[owner == index] for index in range(len(batch))]
                 fractions = frames.visible_fraction.float().cpu()
-                visible += [fractions[owner == index] for index in range(len(batch.scenes))]
-                progress(len(batch.scenes))
+                visible += [fractions[owner == index] for index in range(len(batch))]
+                progress(len(batch))
             if not pictures:
                 return
             ignore = [torch.zeros(0, 4)] * len(scenes)
