@@ -9,7 +9,6 @@ import torch
 
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.detectors.detector import Detector
-from skyproof.detectors.matching import MatchTable
 from skyproof.measure.views import SceneChange, SceneRenderer, SceneView, counter, views
 from skyproof.ranges import Match
 from skyproof.render.frames import Renderer
@@ -80,11 +79,10 @@ def compare(
     """Returns a detector's outcomes under one change, by each rule for every vehicle in sight."""
     outcomes = []
     for match in matches:
-        first, second = (view.matched(detector.name, match) for view in (before, after))
-        found_after = _vehicles(second, detector.threshold)
-        for (image, index), found_before in _vehicles(first, detector.threshold).items():
+        seen_after = vehicles_seen(after, detector, match)
+        for (image, index), seen_before in vehicles_seen(before, detector, match).items():
             scene = scenes[image]
-            changed = found_after.get((image, index), _OUT_OF_SIGHT)
+            changed = seen_after.get((image, index), _OUT_OF_SIGHT)
             outcomes.append(
                 Outcome(
                     scene=scene.id,
@@ -93,11 +91,11 @@ def compare(
                     renderer=renderer,
                     detector=detector.name,
                     match=match,
-                    detected_original=found_before[0],
+                    detected_original=seen_before[0],
                     detected_adversarial=changed[0],
-                    score_original=found_before[1],
+                    score_original=seen_before[1],
                     score_adversarial=changed[1],
-                    distance_original_m=found_before[2],
+                    distance_original_m=seen_before[2],
                     distance_adversarial_m=changed[2],
                     visible_fraction=float(before.images.visible_fractions[image][index]),
                     **_situation(scene, scene.placements[index]),
@@ -106,14 +104,15 @@ def compare(
     return outcomes
 
 
-def _vehicles(
-    matches: MatchTable, threshold: float
+def vehicles_seen(
+    view: SceneView, detector: Detector, match: Match
 ) -> dict[tuple[int, int], tuple[bool, float, float]]:
-    """By image and index in it: whether a vehicle is found, its score and distance."""
+    """By image and index in it: whether a vehicle in sight is found, its score and distance."""
+    matches = view.matched(detector.name, match)
     columns = (
         matches.image_of_vehicle,
         matches.index_of_vehicle,
-        matches.found_at(threshold),
+        matches.found_at(detector.threshold),
         matches.score_of_vehicle,
         matches.distance_of_vehicle_m,
     )

@@ -22,7 +22,7 @@ from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import finished_folder, inside, write_beside, write_bytes, write_json
 from skyproof.measure.baseline import BaselineSet, measure_baselines
 from skyproof.measure.likeness import compare_kinds
-from skyproof.measure.measure import compare
+from skyproof.measure.measure import compare, vehicles_seen
 from skyproof.measure.views import (
     SceneChange,
     SceneRenderer,
@@ -210,13 +210,11 @@ class _Writer:
         called = None if view is self._before else view.called_another_class(detector)
         if called is None:
             return math.nan
-        before, after = (one.matched(detector.name, LENIENT_MATCH) for one in (self._before, view))
-        places, places_after = (
-            list(zip(one.image_of_vehicle.tolist(), one.index_of_vehicle.tolist(), strict=True))
-            for one in (before, after)
+        before, after = (
+            vehicles_seen(one, detector, LENIENT_MATCH) for one in (self._before, view)
         )
-        others = set(itertools.compress(places_after, called))
-        found = [*itertools.compress(places, before.found_at(detector.threshold))]
+        others = set(itertools.compress(after, called))
+        found = [place for place, (hit, *_) in before.items() if hit]
         return sum(place in others for place in found) / len(found) if found else math.nan
 
     def _draw(self, after: SceneView, detector: Detector, outcomes: Sequence[Outcome]) -> None:
