@@ -28,12 +28,11 @@ def attack_tiles(counts: OutcomeCounts, detector: str, scenes: Sequence[Scene]) 
             continue
         by_tile = np.zeros((len(names), 4), dtype=np.int64)
         np.add.at(by_tile, place, own)
+        _, both, lost, _ = by_tile.T
         shown = key.camouflage
         if key.renderer != RENDERER:
             shown += f" on {renderer_name(key.renderer)}"
-        attacks[shown] = _tiles(
-            names.tolist(), by_tile[:, 1] + by_tile[:, 2], by_tile[:, 2], scenes
-        )
+        attacks[shown] = _tiles(names.tolist(), both + lost, lost, scenes)
     return attacks
 
 
