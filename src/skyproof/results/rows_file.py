@@ -39,7 +39,9 @@ def write_rows(path: Path, rows: Iterable[object]) -> None:
 def read_rows(path: Path, kind: type[T], remedy: str) -> list[T]:
     """Reads rows of a dataclass with limits on its fields; numbers may be undefined."""
     form: Any = kind
-    return [row_of(form, row) for row in read_document(path, _document(form), remedy).rows]
+    row: Any = row_form(form)
+    document: Any = msgspec.defstruct("Rows", [("rows", list[row])])
+    return [row_of(form, stored) for stored in read_document(path, document, remedy).rows]
 
 
 def flat_row(row: object) -> dict[str, Any]:
@@ -78,12 +80,6 @@ def row_form(kind: Any) -> Any:
         given += [(column, _nullable(hint), *default) for _, column, hint in columns]
     form: Any = msgspec.defstruct(kind.__name__, given, forbid_unknown_fields=True, kw_only=True)
     return form
-
-
-@cache
-def _document(kind: Any) -> Any:
-    row: Any = row_form(kind)
-    return msgspec.defstruct("Rows", [("rows", list[row])])
 
 
 @cache
