@@ -109,6 +109,11 @@ class Result:
     operating_point: str = FROZEN
 
     @property
+    def key(self) -> tuple[CamouflageName, str, str, str]:
+        """What tells the results of one operating point apart."""
+        return self.camouflage, self.detector, self.renderer, self.match
+
+    @property
     def net_easr(self) -> Interval | None:
         """EASR minus the mean EASR of the random control; None without one."""
         return None if self.random is None else self.random.net
@@ -126,7 +131,7 @@ class Result:
         values: dict[str, Any] = {
             name: value
             for name, value in vars(self).items()
-            if not isinstance(value, Interval | Contrast | None)
+            if name not in _CONTRASTS and not isinstance(value, Interval)
         }
         return nulls_for_undefined(
             values
@@ -146,13 +151,10 @@ class Result:
             | _columns(random, "random_easr", "net_easr", "control_p")
             | _columns(strongest, *_STRONGEST)
             | _columns(self.drawn_shape or _NOTHING, *_DRAWN_SHAPE)
-            | {
-                "no_camouflage_p": self.no_camouflage_p,
-                "no_camouflage_p_holm": self.no_camouflage_p_holm,
-            }
         )
 
 
+_CONTRASTS = ("random", "strongest", "drawn_shape")
 _NOTHING = Contrast(CamouflageName("other"), math.nan, 0, UNDEFINED)
 _STRONGEST = ("strongest_control_easr", "net_strongest_control_easr", "strongest_control_p")
 _DRAWN_SHAPE = ("drawn_shape_easr", "net_drawn_shape_easr", "drawn_shape_p")
@@ -197,7 +199,7 @@ def _corrected(rows: list[Result]) -> list[Result]:
     for index, row in enumerate(rows):
         families[row.renderer, row.match, row.detector].append(index)
     for family in families.values():
-        for field in ("random", "strongest", "drawn_shape"):
+        for field in _CONTRASTS:
             found = {index: getattr(rows[index], field) for index in family}
             tested = {index: each for index, each in found.items() if each and each.p is not None}
             corrected = holm([each.p for each in tested.values()])

@@ -38,8 +38,6 @@ from skyproof.results.stored import (
 )
 from skyproof.scenes.scene import Scene, read_scenes
 
-_Key = tuple[CamouflageName, str, str, str]
-
 RENDERER = "torch"
 """The differentiable renderer, which attacks use."""
 
@@ -216,12 +214,14 @@ class Results:
     ) -> Result | None:
         """Returns a camouflage's row for one detector or the mean of all; None if not scored."""
         wanted = detector or (MEAN if len(self.detectors) > 1 else self.detectors[0])
-        return self._by_name.get((name, wanted, renderer, match))
+        return self._by_key.get((name, wanted, renderer, match))
 
     def at(self, row: Result, point: str) -> Result | None:
         """Returns the same result at another operating point; None where it is not known."""
-        key = (row.camouflage, row.detector, row.renderer, row.match)
-        return self._by_name.get(key) if point == FROZEN else self._by_point.get((key, point))
+        # Computed only on demand, because every operating point resamples all outcomes again.
+        every = self.rows if point == FROZEN else self.equal_alarms
+        same = (each for each in every if (each.key, each.operating_point) == (row.key, point))
+        return next(same, None)
 
     @cached_property
     def quoted(self) -> list[Result]:
@@ -315,16 +315,8 @@ class Results:
         return [row for row in self.rows if row.detector != MEAN]
 
     @cached_property
-    def _by_name(self) -> dict[_Key, Result]:
-        return {(row.camouflage, row.detector, row.renderer, row.match): row for row in self.rows}
-
-    @cached_property
-    def _by_point(self) -> dict[tuple[_Key, str], Result]:
-        # Computed only on demand, because every operating point resamples all outcomes again.
-        return {
-            ((row.camouflage, row.detector, row.renderer, row.match), row.operating_point): row
-            for row in self.equal_alarms
-        }
+    def _by_key(self) -> dict[tuple[CamouflageName, str, str, str], Result]:
+        return {row.key: row for row in self.rows}
 
     @cached_property
     def _outcomes(self) -> Mapping[str | None, list[Outcome]]:
