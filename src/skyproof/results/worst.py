@@ -1,6 +1,6 @@
 """The worst case: the vehicles that at least one of several attacks hides."""
 
-from collections import Counter
+import itertools
 from collections.abc import Iterable, Sequence, Set
 from dataclasses import dataclass
 from typing import Any
@@ -75,13 +75,9 @@ def worst_cases(results: Results, renderer: str = RENDERER) -> list[WorstCase]:
 def _sets_of_draws(controls: Sequence[CamouflageName], scored: Set[str]) -> list[list[str]]:
     """Returns all sets of one draw per attack, in which no draw occurs twice."""
     sets: list[list[str]] = []
+    repeats = {control: itertools.count() for control in controls}
     while True:
-        used: Counter[CamouflageName] = Counter()
-        draws = []
-        for control in controls:
-            sharing = controls.count(control)
-            draws.append(str(control.with_repeat(len(sets) * sharing + used[control])))
-            used[control] += 1
+        draws = [str(control.with_repeat(next(repeats[control]))) for control in controls]
         if not scored >= set(draws):
             return sets
         sets.append(draws)
