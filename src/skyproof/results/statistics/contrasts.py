@@ -92,20 +92,14 @@ def difference_interval(plus: Sequence[Group], minus: Sequence[Group]) -> Interv
     group counts as correlated with none.
     """
     groups = [*plus, *minus]
-    each = [group.easr for group in groups]
     factors = np.concatenate(
         [*(group.factors for group in plus), *(-group.factors for group in minus)]
     )
     limits = (-math.inf, math.inf)
-    together = _Values.joined(each)
+    together = _Values.joined([group.easr for group in groups])
     whole = together.interval(factors, limits, exact=False)
-    parts = [
-        values.mean(group.factors, (-math.inf, 1.0))
-        for group, values in zip(groups, each, strict=True)
-    ]
-    replicates = [
-        values.replicates @ group.factors for group, values in zip(groups, each, strict=True)
-    ]
+    parts = [group.easr.mean(group.factors, (-math.inf, 1.0)) for group in groups]
+    replicates = [group.easr.replicates @ group.factors for group in groups]
     lower, upper = _square_and_add(np.stack(replicates), parts, len(plus))
     if not math.isnan(lower + upper):
         low = min(whole.low, whole.estimate - lower)
