@@ -39,12 +39,7 @@ Kind = Literal["paint_body", "paint_whole", "two_tone", "blur", "control", "sun"
 """A plain paint on body panels or the whole vehicle, two tones on body panels, the sharpness of
 vehicles, a random control, or the elevation of the sun."""
 
-_PAINT = re.compile("#[0-9a-f]{6}")
-_PAINTS: dict[Kind, re.Pattern[str]] = {
-    "paint_body": _PAINT,
-    "paint_whole": _PAINT,
-    "two_tone": re.compile("(#[0-9a-f]{6}){2}"),
-}
+_COLOUR = "#[0-9a-f]{6}"
 
 PAINTED: dict[Kind, str] = {
     "paint_body": "on body panels",
@@ -190,8 +185,8 @@ def read_precheck(folder: Path) -> PrecheckRecord:
     path = folder / PRECHECK_FILE
     stored: _PrecheckDocument = read_document(path, _PrecheckDocument, _REMEDY, version=_FORMAT)
     for row in stored.rates:
-        form = _PAINTS.get(row.kind)
-        if form is not None and not form.fullmatch(row.name):
+        form = 2 * _COLOUR if row.kind == "two_tone" else _COLOUR
+        if row.kind in PAINTED and not re.fullmatch(form, row.name):
             raise StoredFileError(
                 f"{path} names a paint {row.name[:60]!r}, expected its colour such as #ff8000; "
                 f"{_REMEDY}."
@@ -292,7 +287,7 @@ def misfit_thresholds(baselines: Sequence[Baseline]) -> list[str]:
 
 def rate_words(rate: Rate) -> str:
     """The change in words: the paint "#ff8000" as "RGB (255, 128, 0)"."""
-    if rate.kind in ("paint_body", "paint_whole", "two_tone"):
+    if rate.kind in PAINTED:
         colours = rate.name.removeprefix("#").split("#")
         return "RGB " + " over ".join(str(tuple(bytes.fromhex(colour))) for colour in colours)
     return rate.name
