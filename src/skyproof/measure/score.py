@@ -351,10 +351,7 @@ def _rectangle(
     canvas: ImageDraw.ImageDraw, box: Float[np.ndarray, " 4"], colour: str, dash_px: int
 ) -> None:
     """Draws a frame 4 px outside a box of the original image; solid where `dash_px` is 0."""
-    x0, y0, x1, y1 = (
-        _ENLARGE * float(value) + outward
-        for value, outward in zip(box, (-4, -4, 4, 4), strict=True)
-    )
+    x0, y0, x1, y1 = _ENLARGE * box.astype(np.float64) + (-4, -4, 4, 4)
     corners = [np.array(corner) for corner in ((x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0))]
     for start, end in itertools.pairwise(corners):
         length = max(float(np.hypot(*(end - start))), 1e-6)
