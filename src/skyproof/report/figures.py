@@ -76,20 +76,19 @@ def forest_figure(
         figure, axes = plt.subplots(
             figsize=(8.5, 1.3 + (0.72 if len(rows) < 9 else 0.5) * len(rows)), layout="constrained"
         )
-        lows, highs = [0.0], [1.0]
+        ends = [0.0, 1.0]
         for label, marker, colour, shift, rates in series:
             drawn = False
             for place, rate in enumerate(rates):
                 if rate is None or math.isnan(rate.estimate):
                     continue
                 _point(axes, rate, place + shift, marker, colour, None if drawn else label)
-                lows.append(rate.estimate if math.isnan(rate.low) else rate.low)
-                highs.append(rate.estimate if math.isnan(rate.high) else rate.high)
+                ends += [rate.estimate, rate.low, rate.high]
                 drawn = True
         axes.set_yticks(range(len(rows)), labels)
         axes.set_ylim(len(rows) - 0.5, -0.5)
         axes.axvline(0, color=GREY, linewidth=1)
-        axes.set_xlim(100 * min(lows) - 4, 100 * max(highs) + 4)
+        axes.set_xlim(100 * np.nanmin(ends) - 4, 100 * np.nanmax(ends) + 4)
         axes.set_xlabel("% of the vehicles found without camouflage (bars: 95 % interval)")
         rule(axes, "x")
         if axes.get_legend_handles_labels()[0]:
@@ -238,10 +237,8 @@ def queries_figure(curves: Sequence[QueryCurve]) -> str:
                 colour, line = (GREY, "s--") if curve.random else (BLUE, "o-")
                 label = "random search" if curve.random else "query attack"
                 images = [count for count, _ in curve.points]
-                rates = [rate for _, rate in curve.points]
-                shares = [100 * rate.estimate for rate in rates]
-                lows = [100 * rate.low for rate in rates]
-                highs = [100 * rate.high for rate in rates]
+                rates = [(rate.estimate, rate.low, rate.high) for _, rate in curve.points]
+                shares, lows, highs = 100 * np.array(rates).T
                 axes.plot(images, shares, line, color=colour, markersize=5, label=label)
                 axes.fill_between(images, lows, highs, color=colour, alpha=0.15, linewidth=0)
             axes.set_title(name, fontsize=11)
