@@ -14,7 +14,7 @@ from skyproof.detectors.matching import MatchTable
 from skyproof.detectors.validation import average_precision, best_f1_threshold, precision_recall
 from skyproof.errors import ConfigurationError
 from skyproof.imagery.frames import BORDER_PX, read_frames_folder
-from skyproof.measure.views import SceneView, look
+from skyproof.measure.views import SceneView
 from skyproof.results.operating_points import EQUAL_ALARMS
 from skyproof.results.result import LENIENT_MATCH, MAIN_MATCH
 from skyproof.results.score_folder import Baseline, BestF1
@@ -43,14 +43,13 @@ class BaselineSet:
 
 
 def measure_baselines(
-    detectors: Sequence[Detector], images: BaselineSet, view: SceneView | None = None, *, seed: int
+    detectors: Sequence[Detector], images: BaselineSet, view: SceneView, *, seed: int
 ) -> list[Baseline]:
-    """Measures every detector on images without camouflage.
+    """Measures every detector on images without camouflage, as the view shows them.
 
-    Intervals are over places, or over images if all show one place or none is known. Without a
-    `view` the detectors run. All sets have one `seed`, so none changes another's intervals.
+    Intervals are over places, or over images if all show one place or none is known. All sets have
+    one `seed`, so none changes another's intervals.
     """
-    view = view or look(detectors, images.name, images.images, other_classes=True)
     return [_measure(each, images, view, seed) for each in detectors]
 
 
@@ -153,18 +152,13 @@ def ap_interval(
     if count < 2:
         return Interval(estimate, float("nan"), float("nan"))
 
-    def replicate(weights: np.ndarray) -> float:
-        return average_precision(matches, weights[cluster_of_image])
-
-    weights = resample(count, generator=generator, replicates=replicates)
-    left_out = 1 - np.eye(count, dtype=np.int64)
-    return bootstrap_interval(
-        estimate,
-        np.array([replicate(row) for row in weights]),
-        np.array([replicate(row) for row in left_out]),
-        (0.0, 1.0),
-        telling=len(set(cluster_of_image[matches.image_of_vehicle].tolist())),
+    drawn = resample(count, generator=generator, replicates=replicates)
+    resampled, left_one_out = (
+        np.array([average_precision(matches, row[cluster_of_image]) for row in weights])
+        for weights in (drawn, 1 - np.eye(count, dtype=np.int64))
     )
+    telling = len(np.unique(cluster_of_image[matches.image_of_vehicle]))
+    return bootstrap_interval(estimate, resampled, left_one_out, (0.0, 1.0), telling)
 
 
 def _numbers(clusters: Sequence[str]) -> Int64[np.ndarray, " images"]:
