@@ -18,7 +18,6 @@ from skyproof.ranges import Match
 from skyproof.results.likeness import Likeness, Look
 from skyproof.results.result import LENIENT_MATCH, MAIN_MATCH
 from skyproof.results.statistics.intervals import (
-    UNDEFINED,
     Interval,
     cluster_interval,
     resample,
@@ -28,7 +27,6 @@ from skyproof.results.statistics.intervals import (
 from skyproof.scenes.scene import Scene
 from skyproof.seeds import numpy_generator
 
-_MATCHES: tuple[Match, ...] = (MAIN_MATCH, LENIENT_MATCH)
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # of sRGB, from the weights of its linear light
 _WHITE = 255
 _BORDER_PX = 0.5
@@ -85,8 +83,8 @@ def compare_kinds(
 ) -> list[Likeness]:
     """Compares labelled vehicles on tiles with rendered ones in scenes on the same tiles.
 
-    Only tiles that show both count. Empty if the photographs are not the tiles of the scenes. The
-    detections are those of both views; no detector runs.
+    Only tiles that show both count; without any, rates are undefined. Empty if the photographs are
+    not the tiles of the scenes. The detections are those of both views; no detector runs.
     """
     tiles = [scene.background.tile for scene in scenes]
     if not photographs.real or not set(tiles) & set(photographs.images.ids):
@@ -98,15 +96,11 @@ def compare_kinds(
     weights = resample(max(len(numbers), 1), generator=numpy_generator(seed))
     rows = []
     for detector in detectors:
-        for match in _MATCHES:
+        for match in (MAIN_MATCH, LENIENT_MATCH):
             first, second = (kind.seen(detector, match, numbers) for kind in kinds)
-            recalls = UNDEFINED, UNDEFINED, UNDEFINED
-            higher = UNDEFINED
-            if numbers:
-                recalls = _recalls(first, second, weights)
-                higher = superiority_interval(
-                    first.scores, second.scores, first.tile, second.tile, weights
-                )
+            higher = superiority_interval(
+                first.scores, second.scores, first.tile, second.tile, weights
+            )
             rows.append(
                 Likeness(
                     detector.name,
@@ -115,12 +109,11 @@ def compare_kinds(
                     len(numbers),
                     len(first.scores),
                     len(second.scores),
-                    *recalls,
+                    *_recalls(first, second, weights),
                     _median(first.scores),
                     _median(second.scores),
                     higher,
-                    looks[0],
-                    looks[1],
+                    *looks,
                 )
             )
     return rows
@@ -169,9 +162,8 @@ def _look(kind: _Kind, tiles: Collection[str]) -> Look | None:
         # Images of scenes are rendered on demand.
         pixels = images.image(index).cpu().permute(1, 2, 0)
         for left, top, right, bottom in images.boxes[index][whole].tolist():
-            across, down = (
-                slice(int(low), math.ceil(high)) for low, high in ((left, right), (top, bottom))
-            )
+            across = slice(int(left), math.ceil(right))
+            down = slice(int(top), math.ceil(bottom))
             longer_m = max(right - left, bottom - top) * images.gsd_m
             rows.append((*_contents(pixels[down, across].reshape(-1, 3)), longer_m))
     if not rows:
