@@ -193,12 +193,9 @@ def _square_and_add(
     means = means[:, ~np.isnan(means).any(axis=0)]
     if not means.shape[1]:
         return math.nan, math.nan
-    centred = means - means.mean(axis=1, keepdims=True)
-    spread = np.sqrt((centred**2).mean(axis=1))
     varies = np.array([not is_unanimous(own) for own in means])
-    scaled = np.where(varies, 1 / np.where(varies, spread, 1.0), 0.0)[:, None] * centred
-    correlation = scaled @ scaled.T / means.shape[1]
-    np.fill_diagonal(correlation, 1.0)
+    correlation = np.eye(len(means))
+    correlation[np.ix_(varies, varies)] = np.corrcoef(means[varies])
 
     def margin(added: Float[np.ndarray, " G"], taken: Float[np.ndarray, " G"]) -> float:
         moved = signs * np.where(signs > 0, added, taken)
