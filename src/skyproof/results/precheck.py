@@ -276,8 +276,7 @@ def misfit_thresholds(baselines: Sequence[Baseline]) -> list[str]:
     """Names each set to which the frozen threshold does not carry over, in a sentence each."""
     return [
         f"The frozen threshold of {detector_name(check.detector)}, {check.threshold:.2f}, does not "
-        f"carry over to {check.dataset}: "
-        f"recall {percent(check.recall.estimate)} at precision "
+        f"carry over to {check.dataset}: recall {percent(check.recall.estimate)} at precision "
         f"{percent(check.precision.estimate)}; the best one there, {check.best.threshold:.2f}, has "
         f"{percent(check.best.recall)} at {percent(check.best.precision)}."
         for check in baselines
