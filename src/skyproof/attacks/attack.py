@@ -65,11 +65,8 @@ def attack(
     "paper": in the camouflage as it starts). Scenes depend on the seed and the step alone, so a
     stopped attack continues exactly from its last checkpoint. A finished folder is not touched
     again. A search control ("R-PixFc_search") takes random changes instead of gradients, on as many
-    images, with `AttackSettings.of_search`.
-
-    Differences from the paper: losses are normalised per image and the weights computed. The
-    attack minimises the sum of the losses' logarithms (see `objective`), by Adam. The method
-    "paper" stays nearer to it (see `AttackSettings`).
+    images, with `AttackSettings.of_search`. The differences from the paper are at `AttackSettings`,
+    `objective` and `balanced_weights`.
 
     Args:
         camouflage: on the device to work on; optimised in place.
@@ -178,8 +175,7 @@ class _Run:
             facts["weights"] = attack_weights(camouflage, self.detectors, self.world, settings)
         for step in self.loop:
             now, images = take()
-            row = {"step": step, "loss": now.loss, "losses": now.losses}
-            self.loop.report({**row, "weights": facts["weights"]})
+            self.loop.report({"step": step, **now._asdict(), "weights": facts["weights"]})
             if step % settings.preview_every == 0 or step in (1, settings.steps):
                 _write_preview(self.loop.folder / "previews" / f"{step:06d}.png", images)
             if step in settings.keep_at:
