@@ -235,7 +235,6 @@ def query_attack(
             if on_step is not None:
                 on_step(images, total)
         found = search.best()
-        found.name = start.name
         queries: dict[str, Any] = {**identity, "images": total}
         if compared:
             measured = [held_out.measure(each) for each in (*others, found)]
@@ -247,7 +246,7 @@ def query_attack(
             }
             # Of equal ones the first, which is the start.
             found = copy.deepcopy([*others, found][measured.index(max(measured))])
-            found.name = start.name
+        found.name = start.name
         save_camouflage(folder, found, {"queries": queries})
         loop.forget()
     return found
