@@ -141,16 +141,14 @@ class Likeness:
                 f"{self.rendered} rendered and {self.photographed} labelled vehicles {on} are too "
                 f"few ({FEWEST_VEHICLES} of each on {FEWEST_TILES} tiles are needed)."
             )
-        says = {
-            "alike": "scores rendered vehicles like photographed ones",
-            "borderline": "seems not to score rendered vehicles like photographed ones",
-            "not alike": "does not score rendered vehicles like photographed ones",
-        }
+        says = {"alike": "scores", "not alike": "does not score"}
+        verb = says.get(self.state, "seems not to score")
         return (
-            f"{name} {says[self.state]}: it finds {sure(self.recall_rendered)} of {self.rendered} "
-            f"and {sure(self.recall_photographed)} of {self.photographed} {on}, with median "
-            f"scores of {self.median_rendered:.2f} and {self.median_photographed:.2f}. In "
-            f"{sure(self.higher)} of pairs the photographed vehicle scores higher.{self.differing}"
+            f"{name} {verb} rendered vehicles like photographed ones: it finds "
+            f"{sure(self.recall_rendered)} of {self.rendered} and {sure(self.recall_photographed)} "
+            f"of {self.photographed} {on}, with median scores of {self.median_rendered:.2f} and "
+            f"{self.median_photographed:.2f}. In {sure(self.higher)} of pairs the photographed "
+            f"vehicle scores higher.{self.differing}"
         )
 
     @property
