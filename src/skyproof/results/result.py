@@ -259,9 +259,7 @@ class _Table:
             detector=label,
             match=self.key.match,
             vehicles=int(in_sight.sum()),
-            clusters=len(
-                {tile for (tile, _), n in zip(self.counts.cells, in_sight, strict=True) if n}
-            ),
+            clusters=len(np.unique(self.sample.tile[in_sight > 0])),
             repeats=len(members),
             easr=mean_interval(group),
             asr=mean_interval(group, rate=attack_success_rate, limits=(0.0, 1.0)),
