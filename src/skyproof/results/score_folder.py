@@ -1,9 +1,8 @@
 """A score folder: all measurements of one call, and everything that a report needs from them.
 
 It holds `score.json`, `outcomes.parquet`, `sets.json`, `baselines.json`, `likeness.json`,
-`detections/`, `pairs/` (pictures of some scenes), `patterns/` (pictures of some camouflages) and
-`practicality.json`.
-`score.json` and `baselines.json` are always there.
+`pairs/` (pictures of some scenes), `patterns/` (pictures of some camouflages) and
+`practicality.json`. `score.json` and `baselines.json` are always there.
 """
 
 import math
@@ -218,10 +217,9 @@ def merge_scores(
 ) -> tuple[OutcomeCounts, list[SetScore]]:
     """Reads the outcomes and set scores of several score folders that share scenes and detectors.
 
-    With `thresholds` as in `read_counts`, the set scores hold average precision only.
-
     A result that several folders hold (that on the unchanged images always is one) must be equal in
-    all of them. Folders that hold baselines alone are skipped.
+    all of them. Folders that hold baselines alone are skipped. With `thresholds` as in
+    `read_counts`, the set scores hold average precision only.
     """
     compared = [folder for folder in folders if folder.record.renderer]
     read = [
