@@ -296,12 +296,11 @@ def _doubted(ruling: Ruling, requirement: Requirement, doubts: Sequence[str]) ->
     """Withdraws the acceptance of a detector because of doubts about the test."""
     if ruling.answer != "accepted":
         return ruling
-    _, *further = ruling.sentences
     sentences = [
         f"{detector_name(ruling.detector)} is UNDECIDED: every attack hides significantly less "
         f"than {percent(requirement.reject)}, but {listed(doubts)}, so other attacks could hide "
         "more.",
-        *further,
+        *ruling.sentences[1:],
     ]
     return replace(ruling, answer="undecided", sentences=sentences, more_vehicles=None)
 
