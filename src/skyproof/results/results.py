@@ -138,14 +138,15 @@ class Results:
     @cached_property
     def detectors(self) -> list[str]:
         """The detectors that scored camouflages, or all where there are only baselines."""
-        return list(dict.fromkeys(row.detector for row in self._single_rows)) or self.all_detectors
+        scored = dict.fromkeys(row.detector for row in self.rows if row.detector != MEAN)
+        return list(scored) or self.all_detectors
 
     @cached_property
     def all_detectors(self) -> list[str]:
         """All detectors of the scores, also those with a baseline alone, or of the prechecks."""
+        scored = [row.detector for row in self.rows if row.detector != MEAN]
         named = [name for score in self.scores for name in score.record.thresholds]
-        named = named or list(self.prechecks)
-        return list(dict.fromkeys([*(row.detector for row in self._single_rows), *named]))
+        return list(dict.fromkeys([*scored, *(named or self.prechecks)]))
 
     @cached_property
     def renderers(self) -> list[str]:
@@ -309,10 +310,6 @@ class Results:
         after = self._group(later)
         before = self._group(earlier)
         return None if after is None or before is None else difference_interval([after], [before])
-
-    @cached_property
-    def _single_rows(self) -> list[Result]:
-        return [row for row in self.rows if row.detector != MEAN]
 
     @cached_property
     def _by_key(self) -> dict[tuple[CamouflageName, str, str, str], Result]:
