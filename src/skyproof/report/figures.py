@@ -153,10 +153,9 @@ def loss_figure(title: str, curves: Mapping[str, Sequence[tuple[float, float]]])
 
 def condition_figure(conditions: Sequence[Panel]) -> str:
     """Draws the share hidden by condition, with intervals and numbers of vehicles."""
-    columns = 2
-    lines = math.ceil(len(conditions) / columns)
+    lines = math.ceil(len(conditions) / 2)
     with plt.rc_context(STYLE | {"svg.hashsalt": "conditions"}):
-        figure, grid = panels(lines, columns, 9.2, 2.9 * lines, sharey=True)
+        figure, grid = panels(lines, 2, 9.2, 2.9 * lines, sharey=True)
         for axes, panel in zip(grid.flat, conditions, strict=False):
             for place, bar in enumerate(panel.bins):
                 if not math.isnan(bar.rate.estimate):

@@ -328,9 +328,8 @@ def _tested(results: Results, every: Sequence[Result]) -> str:
     names = [words.detector_name(row.detector) for row in rows[: max(len(rows) - 1, 1)]]
     many = words.counted(len(names), "overhead vehicle detector")
     many += " was" if len(names) == 1 else " were"
-    second = ""
-    if len(results.renderers) > 1:
-        second = " A second, physics-based renderer, Blender Cycles, drew the same scenes."
+    drew = " A second, physics-based renderer, Blender Cycles, drew the same scenes."
+    second = drew if len(results.renderers) > 1 else ""
     return (
         f"{many} tested ({', '.join(names)}) on {words.number(every[0].vehicles)} rendered "
         f"vehicles over {_imagery(results)}. Each vehicle was shown once without and once with "
