@@ -215,12 +215,18 @@ def test_ultralytics_is_imported_in_one_file_and_only_when_used():
     assert not any(name.startswith("ultralytics") for name in at_once)
 
 
-def test_onnx_is_imported_in_one_file_and_only_when_used():
-    # The plain install has neither.
+def test_packages_of_extras_are_imported_in_one_file_and_only_when_used():
+    # The plain install has none of them.
     modules = sources()
-    for package in ("onnx", "onnxruntime"):
-        assert importers(modules, package) == ["detectors.onnx_file"]
-        assert package not in imports(modules["detectors.onnx_file"], at_import_time=True)
+    files = {
+        "onnx": "detectors.onnx_file",
+        "onnxruntime": "detectors.onnx_file",
+        "transformers": "detectors.transformers_detectors",
+    }
+    for package, file in files.items():
+        assert importers(modules, package) == [file]
+        at_once = imports(modules[file], at_import_time=True)
+        assert not any(name.split(".")[0] == package for name in at_once)
 
 
 def test_blenders_interface_is_imported_in_one_file_that_stands_alone():

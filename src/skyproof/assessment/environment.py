@@ -31,7 +31,7 @@ def write_environment(path: Path, device: str, seed: object) -> None:
         "python": platform.python_version(),
         **{
             name: _version(name)
-            for name in ("torch", "torchvision", "ultralytics", "numpy", "rasterio")
+            for name in ("torch", "torchvision", "ultralytics", "transformers", "numpy", "rasterio")
         },
         "platform": platform.platform(),
         "cpu": _cpu_name(),

@@ -17,7 +17,7 @@ from skyproof.assessment.subject import REFERENCE_GSD_M, Subject
 from skyproof.console import duration
 from skyproof.cycles.blender import find_blender
 from skyproof.detectors.card import detector_folder
-from skyproof.detectors.import_checkpoint import Checkpoint, read_network
+from skyproof.detectors.import_checkpoint import Checkpoint, kind_of, read_network
 from skyproof.detectors.loaded import load_detector
 from skyproof.errors import ImageryError, SkyproofError
 from skyproof.files import refuse_unwritable
@@ -112,11 +112,12 @@ def limits(its: Subject) -> Iterator[str]:
 def _look_at_detector(its: Subject, place: Path) -> None:
     """Loads a detector folder or a checkpoint now, because steps load it only after hours."""
     request = its.request
-    if detector_folder(place).is_dir():
+    path = detector_folder(place)
+    if path.is_dir():
         load_detector(place)
         return
-    kind = "torchvision" if request.architecture else "ultralytics"
-    checkpoint = Checkpoint(place, kind, request.vehicle_classes, request.architecture)
+    kind = kind_of(path, request.architecture)
+    checkpoint = Checkpoint(path, kind, request.vehicle_classes, request.architecture)
     read_network(checkpoint, 1.0, its.names[0])
 
 

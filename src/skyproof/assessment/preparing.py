@@ -19,6 +19,7 @@ from skyproof.console import say
 from skyproof.cycles.settings import Rendering
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.card import detector_folder, write_card
+from skyproof.detectors.import_checkpoint import kind_of
 from skyproof.detectors.loaded import copy_detector, load_detector
 from skyproof.files import finished_folder
 from skyproof.imagery.clearing.footprints import worn_paints
@@ -171,9 +172,10 @@ def brought(its: Subject, name: str, place: Path, validation: Path) -> Step:
             write_card(out / "detector.json", its.black_box.card)
             say_card(its.black_box.card, out)
             return
+        path = detector_folder(place)
         Import(
-            place,
-            "torchvision" if request.architecture else "ultralytics",
+            path,
+            kind_of(path, request.architecture),
             request.vehicle_classes,
             validation,
             out,

@@ -2,12 +2,13 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from msgspec import Meta
 
 from skyproof.console import say
+from skyproof.detectors.blueprint import Kind
 from skyproof.files import refuse_existing
 from skyproof.ranges import GroundResolution, Name
 
@@ -17,15 +18,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Import:
-    """Imports a checkpoint of torchvision or Ultralytics and freezes the detector's threshold.
+    """Imports a checkpoint and freezes the detector's threshold.
 
     No code of the file is run. The new folder is used like that of a detector trained here.
 
     Attributes:
-        checkpoint: .pt or .pth file of torch.save, or .safetensors.
+        checkpoint: .pt or .pth file of torch.save, .safetensors, or a folder of transformers.
         kind: library of the checkpoint.
-        vehicle_classes: vehicle classes of the checkpoint: names (ultralytics) or label numbers
-            (torchvision; COCO: 3 car, 6 bus, 8 truck).
+        vehicle_classes: vehicle classes of the checkpoint: names, or label numbers for torchvision
+            (COCO: 3 car, 6 bus, 8 truck).
         validation: dataset folder that freezes the threshold, at the resolution of later use.
         out: detector folder to write.
         architecture: torchvision's name, such as retinanet_resnet50_fpn: fasterrcnn, maskrcnn or
@@ -37,7 +38,7 @@ class Import:
     """
 
     checkpoint: Annotated[Path, tyro.conf.Positional]
-    kind: Literal["torchvision", "ultralytics"]
+    kind: Kind
     vehicle_classes: Annotated[
         tuple[Annotated[str, Meta(max_length=200)], ...], Meta(max_length=1000)
     ]
@@ -50,14 +51,14 @@ class Import:
 
     def run(self) -> None:
         from skyproof.datasets.dataset import Dataset
+        from skyproof.detectors.card import detector_folder
         from skyproof.detectors.import_checkpoint import Checkpoint, import_detector
         from skyproof.device import choose_device
 
         refuse_existing(self.out)
         device = choose_device(self.device)
-        checkpoint = Checkpoint(
-            self.checkpoint, self.kind, self.vehicle_classes, self.architecture, self.gsd
-        )
+        path = detector_folder(self.checkpoint)
+        checkpoint = Checkpoint(path, self.kind, self.vehicle_classes, self.architecture, self.gsd)
         card = import_detector(
             checkpoint, Dataset.open(self.validation), self.out, name=self.name, device=device
         )

@@ -7,7 +7,7 @@ every number in it is bounded. `ultralytics_detectors` measures a network before
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
@@ -44,8 +44,16 @@ nn.BatchNorm2d nn.Conv2d nn.ConvTranspose2d nn.Identity nn.MaxPool2d nn.Upsample
 _LAYERS = frozenset(_LAYER_NAMES.split())
 _ACTIVATION = re.compile(r"(torch\.)?nn\.[A-Z]\w*\((\w+=[\w.]+|[0-9.]+)?\)")
 
+# Families of transformers whose networks answer alike, and the backbones that they stand on.
+TRANSFORMERS = ("rt_detr", "rt_detr_v2", "d_fine", "detr", "conditional_detr", "deformable_detr")
+_BACKBONES = ("rt_detr_resnet", "resnet", "hgnet_v2", "timm_backbone")
+_RESNET = re.compile(r"resnet\d{2,3}d?(\.\w{1,30})?")
+
 # More than LVIS has: RetinaNet scores each class for 200,000 anchors in an image of 1024 px.
 _MOST_TORCHVISION_CLASSES = 1500
+
+Kind = Literal["torchvision", "ultralytics", "transformers"]
+"""The library whose network a checkpoint holds."""
 
 Classes = Annotated[list[Annotated[str, Meta(max_length=200)]], Meta(max_length=5000)]
 
@@ -88,16 +96,35 @@ class _Architecture(msgspec.Struct):
     anchors: Annotated[list[_Anchors], Meta(min_length=1, max_length=5)] | None = None
 
 
+_Number = Annotated[float, Meta(ge=-65_536, le=65_536)]
+_Setting = bool | Annotated[int, Meta(ge=-65_536, le=65_536)] | _Number | _Word | None
+_Settings = Annotated[
+    dict[_Word, _Setting | Annotated[list[_Setting], Meta(max_length=100)]], Meta(max_length=300)
+]
+_Mean = Annotated[list[_Number], Meta(min_length=3, max_length=3)]
+_Deviation = Annotated[list[_Scale], Meta(min_length=3, max_length=3)]
+
+
+class _Configuration(msgspec.Struct, forbid_unknown_fields=True):
+    """A network of transformers: fields of its config.json, and how colours are normalised."""
+
+    network: _Settings
+    backbone: _Settings
+    image_mean: _Mean
+    image_std: _Deviation
+
+
 @dataclass(frozen=True)
 class Blueprint:
     """The plan of an imported detector's network, without its weights; kept in `detector.json`.
 
-    The kind is "torchvision", with a name as architecture and classes "0", "1", ..., or
-    "ultralytics", with the content of its YAML. Vehicle classes are positions. `image_scale` is
-    network pixels per image pixel, `norm_eps` the epsilon of the backbone's batch norm, if
-    torchvision's published weights use another one than its layers. `side_px` is the side of the
-    training images in network pixels, if the checkpoint notes it. `normalised` says whether the
-    network expects colours normalised as by torchvision; None if that is not known.
+    The architecture is a name for torchvision, whose classes are "0", "1", ..., the content of a
+    YAML file for Ultralytics, and the parts of `_Configuration` for transformers. Vehicle classes
+    are positions. `image_scale` is network pixels per image pixel, `norm_eps` the epsilon of the
+    backbone's batch norm, if torchvision's published weights use another one than its layers.
+    `side_px` is the side of the training images in network pixels, if the checkpoint notes it.
+    `normalised` says whether the network expects colours normalised as by torchvision; None if that
+    is not known.
     """
 
     kind: str
@@ -117,6 +144,8 @@ class Blueprint:
         check_ranges(self)
         if self.kind == "ultralytics":
             check_layers(self.architecture)
+        elif self.kind == "transformers":
+            check_configuration(self.architecture)
         elif self.kind != "torchvision" or self.architecture not in ARCHITECTURES:
             raise ConfigurationError(
                 f"no detector of kind {self.kind[:100]!r} is called "
@@ -136,7 +165,8 @@ class Blueprint:
     def trainable(self) -> bool:
         """Whether skyproof can train the network; not with oriented boxes or anchors."""
         plan = self.architecture
-        return isinstance(plan, str) or not ("anchors" in plan or plan["head"][-1][2] in TURNED)
+        rows = plan if isinstance(plan, dict) and self.kind == "ultralytics" else None
+        return rows is None or not ("anchors" in rows or rows["head"][-1][2] in TURNED)
 
 
 def check_layers(architecture: Any) -> None:
@@ -172,6 +202,31 @@ def check_layers(architecture: Any) -> None:
         raise ConfigurationError(
             f"the network takes images of {read.channels} channels; red, green and blue are "
             "expected."
+        )
+
+
+def check_configuration(architecture: Any) -> None:
+    """Refuses networks of transformers but those of the known families, with plain fields."""
+    try:
+        read = msgspec.convert(architecture, _Configuration)
+    except (msgspec.ValidationError, RecursionError) as error:
+        raise ConfigurationError(
+            "expected the configuration of a network of transformers "
+            f"({in_words(str(error)).removeprefix(', ')[:200]}); give the folder of a detector."
+        ) from error
+    family, backbone = (part.get("model_type") for part in (read.network, read.backbone))
+    if family not in TRANSFORMERS or backbone not in _BACKBONES:
+        raise ConfigurationError(
+            f"the network is a {family} on a {backbone}, expected one of {', '.join(TRANSFORMERS)} "
+            f"on one of {', '.join(_BACKBONES)}; export it to ONNX, which skyproof assess tests as "
+            "a black box."
+        )
+    # timm would load other names from its hub.
+    name = read.backbone.get("backbone")
+    if backbone == "timm_backbone" and not (isinstance(name, str) and _RESNET.fullmatch(name)):
+        raise ConfigurationError(
+            f"the network's backbone is {str(name)[:100]!r} of timm, expected a ResNet; export it "
+            "to ONNX, which skyproof assess tests as a black box."
         )
 
 

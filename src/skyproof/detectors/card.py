@@ -174,10 +174,17 @@ def reference_folder(name: str) -> Path:
 
 
 def detector_folder(place: str | Path) -> Path:
-    """Returns `place`, or the folder of a shipped detector if `place` only names one."""
+    """Returns the folder or the checkpoint file that `place` stands for.
+
+    The name of a shipped detector stands for its folder, and a folder of transformers for its
+    weights.
+    """
     folder = Path(place)
-    named = str(place) in SHIPPED_DETECTORS and not folder.exists()
-    return REFERENCE_FOLDER / folder.name if named else folder
+    if str(place) in SHIPPED_DETECTORS and not folder.exists():
+        return REFERENCE_FOLDER / folder.name
+    weights = folder / "model.safetensors"
+    foreign = weights.is_file() and not (folder / "detector.json").exists()
+    return weights if foreign else folder
 
 
 @contextmanager

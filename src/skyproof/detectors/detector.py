@@ -87,9 +87,13 @@ class Detector:
 
 
 class TrainableDetector(nn.Module, Detector):
-    """A detector with its own loss, which can be trained and attacked."""
+    """A detector with its own loss, which can be trained and attacked.
+
+    Of two boxes that overlap by more than `suppression_iou` the better one stays.
+    """
 
     size: str
+    suppression_iou: float = SUPPRESSION_IOU
 
     @property
     def weights_sha256(self) -> str:
@@ -116,10 +120,13 @@ class TrainableDetector(nn.Module, Detector):
     @torch.no_grad()
     def detect(self, images: Images) -> list[Detections]:
         """See `Detector.detect`."""
-        return _suppress(self.candidates(images), images.shape[-2], images.shape[-1])
+        height_px, width_px = images.shape[-2:]
+        return _suppress(self.candidates(images), height_px, width_px, self.suppression_iou)
 
 
-def _suppress(candidates: Candidates, height_px: int, width_px: int) -> list[Detections]:
+def _suppress(
+    candidates: Candidates, height_px: int, width_px: int, most_iou: float
+) -> list[Detections]:
     """Clips candidates to the image; keeps the best without overlap, at most 100 per window."""
     windows = max(1, height_px * width_px // WINDOW_PX**2)
     found = []
@@ -132,7 +139,7 @@ def _suppress(candidates: Candidates, height_px: int, width_px: int) -> list[Det
         ordered, order = scores[keep].sort(descending=True, stable=True)
         kept_scores = ordered[: windows * _MOST_CANDIDATES]
         kept_boxes = clipped[keep][order[: windows * _MOST_CANDIDATES]]
-        best = ops.nms(kept_boxes, kept_scores, SUPPRESSION_IOU)[: windows * _MOST_DETECTIONS]
+        best = ops.nms(kept_boxes, kept_scores, most_iou)[: windows * _MOST_DETECTIONS]
         found.append(Detections(kept_boxes[best].detach(), kept_scores[best].detach().clamp(0, 1)))
     return found
 

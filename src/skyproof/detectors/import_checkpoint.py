@@ -11,11 +11,13 @@ from torch import Tensor
 from torchvision.models import detection
 
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.blueprint import Blueprint, plain_architecture
+from skyproof.detectors.blueprint import Blueprint, Kind, plain_architecture
 from skyproof.detectors.card import DetectorCard, require_detector_name
 from skyproof.detectors.checkpoints import StandIn, networks_in, parts_of, read_checkpoint, state_of
 from skyproof.detectors.imported import ImportedDetector, class_rows
 from skyproof.detectors.loaded import save_detector
+from skyproof.detectors.transformers_detectors import converted_weights
+from skyproof.detectors.transformers_folder import read_folder
 from skyproof.detectors.validation import check_validation, frozen_card, validate
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import file_digest, finished_folder, refuse_existing
@@ -37,24 +39,33 @@ _ANCHOR_NETWORKS = tuple(
 )
 _MOST_CLASSES = 5000
 
-# Architecture, names of classes, positions of the vehicle classes, epsilon of the batch norm.
-_Plan = tuple[str | dict[str, Any], list[str], list[int], float | None]
+# Architecture, names of classes, positions of the vehicle classes, epsilon of the batch norm, side
+# of the training images in pixels.
+_Plan = tuple[str | dict[str, Any], list[str], list[int], float | None, int | None]
 
 
 @dataclass(frozen=True)
 class Checkpoint:
     """A checkpoint file, whose code is never run, and the facts needed to read it.
 
-    The kind is "torchvision" or "ultralytics". Vehicle classes are names for Ultralytics, label
-    numbers for torchvision (COCO: 3 car, 6 bus, 8 truck), which also needs `architecture`. `gsd_m`
-    is the resolution that the detector was made for; None means that of the images.
+    The kind is "torchvision", "ultralytics" or "transformers", whose path is model.safetensors in a
+    folder of `save_pretrained`. Vehicle classes are names, but label numbers for torchvision (COCO:
+    3 car, 6 bus, 8 truck), which also needs `architecture`. `gsd_m` is the resolution that the
+    detector was made for; None means that of the images.
     """
 
     path: Path
-    kind: str
+    kind: Kind
     vehicle_classes: Sequence[str]
     architecture: str | None = None
     gsd_m: float | None = None
+
+
+def kind_of(path: Path, architecture: str | None) -> Kind:
+    """Returns the kind of a checkpoint file; only torchvision's needs an architecture."""
+    if architecture is not None:
+        return "torchvision"
+    return "transformers" if path.with_name("config.json").is_file() else "ultralytics"
 
 
 def import_detector(
@@ -136,10 +147,19 @@ def read_blueprint(
 
     `scale` is the number of network pixels per image pixel.
     """
-    read = {"torchvision": _torchvision, "ultralytics": read_ultralytics}.get(checkpoint.kind)
+    readers = {
+        "torchvision": _torchvision,
+        "ultralytics": read_ultralytics,
+        "transformers": _transformers,
+    }
+    read = readers.get(checkpoint.kind)
     if read is None:
         raise ConfigurationError(
-            f"a checkpoint is of torchvision or of ultralytics, not of {checkpoint.kind!r}."
+            f"a checkpoint is of {', '.join(readers)}, not of {checkpoint.kind!r}."
+        )
+    if read is not _torchvision and checkpoint.architecture is not None:
+        raise ConfigurationError(
+            f"a checkpoint of {checkpoint.kind} holds its architecture; leave --architecture out."
         )
     content = read_checkpoint(checkpoint.path)
     places = networks_in(content)
@@ -157,8 +177,8 @@ def read_blueprint(
         )
     digest = file_digest(checkpoint.path)
     tensors = len(state)
-    architecture, classes, vehicles, eps = read(checkpoint, network, state, digest)
-    side_px = _noted(content, "train_args").get("imgsz")
+    architecture, classes, vehicles, eps, side_px = read(checkpoint, network, state, digest)
+    side_px = side_px or _noted(content, "train_args").get("imgsz")
     known = type(side_px) is int and 32 <= side_px <= 4096
     # torchgeo stopped normalising in its release 0.8, and checkpoints do not note the release.
     of_torchgeo = {"backbone", "freeze_backbone"} <= _noted(content, "hyper_parameters").keys()
@@ -216,7 +236,18 @@ def _torchvision(
     published = _WITHOUT_EPS.get(checkpoint.architecture)
     # torchvision's file names end with the first digits of their digest.
     same = published is not None and published.url.endswith(f"-{digest[:8]}.pth")
-    return checkpoint.architecture, [*map(str, range(count))], numbers, 0.0 if same else None
+    return checkpoint.architecture, [*map(str, range(count))], numbers, 0.0 if same else None, None
+
+
+def _transformers(
+    checkpoint: Checkpoint, network: Any, state: dict[str, Tensor], digest: str
+) -> _Plan:
+    architecture, classes, side_px = read_folder(checkpoint.path)
+    vehicles = _positions(checkpoint, classes)
+    weights = converted_weights(architecture, len(classes), state, checkpoint.path)
+    state.clear()
+    state.update(weights)
+    return architecture, classes, vehicles, None, side_px
 
 
 def _load(detector: ImportedDetector, state: dict[str, Tensor], checkpoint: Checkpoint) -> None:
@@ -247,10 +278,6 @@ def read_ultralytics(
     checkpoint: Checkpoint, network: Any, state: dict[str, Tensor], digest: str
 ) -> _Plan:
     """Reads a stored network's plan; anchors of 2020 move from `state` to the architecture."""
-    if checkpoint.architecture is not None:
-        raise ConfigurationError(
-            "an Ultralytics checkpoint holds its architecture; leave --architecture out."
-        )
     path = checkpoint.path
     origin = network.origin if isinstance(network, StandIn) else "a state dict"
     if origin not in (*_NETWORKS, *_ANCHOR_NETWORKS):
@@ -260,12 +287,7 @@ def read_ultralytics(
             "tests as a black box, or give sp.assess a function that finds them (examples/recipes)."
         )
     classes = _class_names(path, vars(network).get("names"))
-    missing = [name for name in checkpoint.vehicle_classes if name not in classes]
-    if missing or not checkpoint.vehicle_classes:
-        raise ConfigurationError(
-            f"--vehicle-classes expects names out of {', '.join(classes)}; got "
-            f"{', '.join(missing) or 'none'}."
-        )
+    vehicles = _positions(checkpoint, classes)
     stored = vars(network).get("yaml")
     items = list(stored.items())[:100] if isinstance(stored, Mapping) else []
     plain = {name: value for name, value in items if name != "anchors"}
@@ -277,7 +299,17 @@ def read_ultralytics(
         architecture = plain_architecture(plain)
     except ConfigurationError as error:
         raise ConfigurationError(f"{path} cannot be imported: {error}") from error
-    return architecture, classes, [*map(classes.index, checkpoint.vehicle_classes)], None
+    return architecture, classes, vehicles, None, None
+
+
+def _positions(checkpoint: Checkpoint, classes: list[str]) -> list[int]:
+    missing = [name for name in checkpoint.vehicle_classes if name not in classes]
+    if missing or not checkpoint.vehicle_classes:
+        raise ConfigurationError(
+            f"--vehicle-classes expects names out of {', '.join(classes)}; got "
+            f"{', '.join(missing) or 'none'}."
+        )
+    return [*map(classes.index, checkpoint.vehicle_classes)]
 
 
 def _class_names(path: Path, names: Any) -> list[str]:

@@ -34,6 +34,7 @@ from skyproof.detectors.torchvision_detectors import (
     TorchvisionDetector,
     own_answers,
 )
+from skyproof.detectors.transformers_detectors import TransformersNetwork
 from skyproof.detectors.ultralytics_detectors import YoloNetwork
 from skyproof.errors import ConfigurationError, is_full_memory
 
@@ -49,7 +50,7 @@ _CLASS_ROWS = {
 }
 
 # torchvision enlarges images to 800 px, Ultralytics trains on 640 px, if nothing else is asked.
-_USUAL_SIDES_PX = {"torchvision": 800, "ultralytics": 640}
+_USUAL_SIDES_PX = {"torchvision": 800, "ultralytics": 640, "transformers": 640}
 _WINDOWS_PX = (192, 2048)
 # Four times the largest image that is not split.
 _LARGEST_SIDE_PX = 4096
@@ -66,12 +67,13 @@ class ImportedDetector(TrainableDetector):
         self.image_scale = float(blueprint.image_scale)
         self._trainable = blueprint.trainable
         # A network sees windows as large as its training images.
-        side_px = (blueprint.side_px or _USUAL_SIDES_PX[blueprint.kind]) / self.image_scale
+        side_px = blueprint.side_px or _USUAL_SIDES_PX[blueprint.kind]
         least, most = _WINDOWS_PX
-        self.window_px = round(min(max(side_px, least), most))
+        self.window_px = round(min(max(side_px / self.image_scale, least), most))
         # The libraries draw weights, which must not change the program's own draws.
         with torch.random.fork_rng(devices=[]):
-            self.network = _network(blueprint)
+            self.network = _network(blueprint, side_px)
+        self.suppression_iou = self.network.suppression_iou
         # The background of Faster R-CNN is its class 0.
         first = int(isinstance(self.network, FasterRcnnDetector))
         own = set(blueprint.vehicle_classes)
@@ -161,7 +163,12 @@ class ImportedDetector(TrainableDetector):
         return functional.pad(images, margins, value=PADDING_GREY) if any(margins) else images
 
 
-def _network(blueprint: Blueprint) -> TorchvisionDetector | YoloNetwork | AnchorDetector:
+def _network(
+    blueprint: Blueprint, side_px: int
+) -> TorchvisionDetector | YoloNetwork | AnchorDetector | TransformersNetwork:
+    if blueprint.kind == "transformers":
+        plan: Any = blueprint.architecture
+        return TransformersNetwork(plan, blueprint.vehicle_classes, len(blueprint.classes), side_px)
     if isinstance(blueprint.architecture, dict):
         # The checkpoint lists class names; its architecture decides how many the head has.
         network: YoloNetwork | AnchorDetector
