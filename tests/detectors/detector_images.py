@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
 import torch
 
 from skyproof.datasets.dataset import Dataset
+from skyproof.detectors.blueprint import Blueprint
+from skyproof.detectors.ultralytics_detectors import _quiet_import
 
 NEEDS_YOLO = [
     pytest.mark.yolo,
@@ -53,3 +56,36 @@ def bar_images(count: int, size_px: int = 96, *, seed: int) -> Dataset:
         images.append((image.clamp(0, 1) * 255).to(torch.uint8))
         boxes.append(torch.tensor(own, dtype=torch.float32).reshape(-1, 4))
     return Dataset.of_images(images, boxes, gsd_m=0.125)
+
+
+CLASSES = ["0", "1", "2", "3"]
+PLAN = Blueprint(
+    "torchvision", "fasterrcnn_mobilenet_v3_large_fpn", CLASSES, [2], 1.0, None, "x.pth", "0"
+)
+
+
+def yolo_plan(file: str, vehicle_classes: list[int]) -> Blueprint:
+    """A three-class network of one of the YAML files that Ultralytics brings along."""
+    with _quiet_import():
+        from ultralytics.nn.tasks import yaml_model_load
+
+    architecture = {**yaml_model_load(file), "nc": 3}
+    return replace(
+        PLAN,
+        kind="ultralytics",
+        architecture=architecture,
+        classes=CLASSES[:3],
+        vehicle_classes=vehicle_classes,
+    )
+
+
+def rt_detr_plan(vehicle_classes: list[int]) -> Blueprint:
+    """Ultralytics' RT-DETR with thin layers and 30 queries, for images of 96 px."""
+    plan: Any = yolo_plan("rtdetr-l.yaml", vehicle_classes)
+    plan.architecture["scales"] = {"l": [0.33, 0.125, 1024]}
+    for row in plan.architecture["head"]:
+        if row[2] == "AIFI":
+            row[3] = [64, 4]
+    # Classes, channels, queries, points, heads, layers and channels in between.
+    plan.architecture["head"][-1][3] = ["nc", 32, 30, 4, 4, 2, 64]
+    return replace(plan, side_px=96)

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 import torch
-from detector_images import bar_images, needs_yolo
+from detector_images import bar_images, needs_yolo, rt_detr_plan
 from safetensors.torch import load_file, save_file
 from torchvision.models.detection import (
     MaskRCNN,
@@ -23,7 +23,12 @@ from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
 
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.card import read_card
-from skyproof.detectors.import_checkpoint import Checkpoint, import_detector, read_blueprint
+from skyproof.detectors.import_checkpoint import (
+    Checkpoint,
+    import_detector,
+    read_blueprint,
+    read_network,
+)
 from skyproof.detectors.loaded import build_detector, load_detector
 from skyproof.detectors.ultralytics_detectors import _quiet_import
 from skyproof.detectors.validation import validate
@@ -303,9 +308,9 @@ def test_a_garbled_folder_is_refused(
 def stored_by_ultralytics(path: Path, file: str, names: list[str]) -> Any:
     """A network of a YAML file, stored as Ultralytics does: a pickled object, in halves."""
     with _quiet_import():
-        from ultralytics import YOLO
+        from ultralytics import RTDETR, YOLO
 
-        yolo = YOLO(file)
+        yolo = (RTDETR if "rtdetr" in file else YOLO)(file)
     yolo.model.names = dict(enumerate(names))
     yolo.model.float().eval()
     # As its trainer does.
@@ -346,6 +351,23 @@ def test_an_ultralytics_checkpoint(
         import_detector(
             replace(checkpoint, vehicle_classes=("boat",)), VALIDATION, tmp_path / "other"
         )
+
+
+@needs_yolo
+def test_an_rt_detr_of_ultralytics(tmp_path: Path) -> None:
+    plan = rt_detr_plan([0])
+    (tmp_path / "rtdetr-thin.yaml").write_text(json.dumps(plan.architecture))
+    names = ["car", "van", "boat"]
+    theirs = stored_by_ultralytics(tmp_path / "best.pt", str(tmp_path / "rtdetr-thin.yaml"), names)
+    checkpoint = Checkpoint(tmp_path / "best.pt", "ultralytics", ("boat", "van"))
+    detector, blueprint, _ = read_network(checkpoint, 1.0, "mine")
+    assert (blueprint.classes, blueprint.side_px, blueprint.trainable) == (names, 768, True)
+    assert detector.window_px == 768
+    images = torch.rand(1, 3, 768, 768, generator=torch.Generator().manual_seed(0))
+    answers = theirs.half().float()(images)[1][1][-1]
+    wanted = answers[0, :, 1:].amax(dim=1).sigmoid()
+    found = detector.eval().candidates(images).scores[0]
+    torch.testing.assert_close(found, wanted, rtol=1e-3, atol=1e-4)
 
 
 @needs_yolo

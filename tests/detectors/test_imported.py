@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 import torch
-from detector_images import YOLO, bar_images, needs_yolo
+from detector_images import PLAN, YOLO, bar_images, needs_yolo, rt_detr_plan, yolo_plan
 from torch import nn
 from torch.nn import functional
 from torchvision.models import detection
@@ -19,10 +19,13 @@ from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
 from torchvision.ops import box_convert
 from torchvision.ops.feature_pyramid_network import LastLevelP6P7
 
-from skyproof.detectors.blueprint import ARCHITECTURES, Blueprint
+from skyproof.detectors.blueprint import ARCHITECTURES
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.imported import ImportedDetector, ImportedFasterRcnn, ImportedFcos
-from skyproof.detectors.ultralytics_detectors import _quiet_import, _refuse_giants
+from skyproof.detectors.ultralytics_detectors import (
+    RtDetrNetwork,
+    _refuse_giants,
+)
 from skyproof.errors import ConfigurationError
 from skyproof.storage import weights_digest
 
@@ -30,28 +33,9 @@ LABELLED = bar_images(3, seed=1)
 IMAGES = torch.stack(LABELLED.images(range(len(LABELLED)))).float() / 255
 SEEN = list(LABELLED.boxes)
 NOTHING = [torch.zeros(0, 4)] * len(IMAGES)
-CLASSES = ["0", "1", "2", "3"]
-PLAN = Blueprint(
-    "torchvision", "fasterrcnn_mobilenet_v3_large_fpn", CLASSES, [2], 1.0, None, "x.pth", "0"
-)
 SMALL = "fasterrcnn_mobilenet_v3_large_fpn"
 ONE_OF_EACH = [SMALL, "fcos_resnet50_fpn", "retinanet_resnet50_fpn"]
 OTHER_BACKBONES = ["fasterrcnn_resnet18_fpn", "maskrcnn_resnet34_fpn", "retinanet_resnet18_fpn"]
-
-
-def yolo_plan(file: str, vehicle_classes: list[int]) -> Blueprint:
-    """A three-class network of one of the YAML files that Ultralytics brings along."""
-    with _quiet_import():
-        from ultralytics.nn.tasks import yaml_model_load
-
-    architecture = {**yaml_model_load(file), "nc": 3}
-    return replace(
-        PLAN,
-        kind="ultralytics",
-        architecture=architecture,
-        classes=CLASSES[:3],
-        vehicle_classes=vehicle_classes,
-    )
 
 
 def livened(detector: ImportedDetector) -> ImportedDetector:
@@ -61,6 +45,9 @@ def livened(detector: ImportedDetector) -> ImportedDetector:
     # FCOS normalises the features before the last layer, which is why they are larger there.
     spread = (1.5, 0.02 if detector.network.name == "fcos" else 0.3)
     for name, parameter in model.named_parameters():
+        if "score_head" in name or "bbox_head" in name:
+            with torch.no_grad():
+                parameter.copy_(0.15 * torch.randn(parameter.shape, generator=generator))
         last = ("cls_logits", "cls_score", ".cv3.0.2", ".cv3.1.2", ".cv3.2.2", "ctrness")
         if any(part in name for part in last):
             with torch.no_grad():
@@ -72,16 +59,27 @@ def livened(detector: ImportedDetector) -> ImportedDetector:
             # Else the features of a deep random network are all alike.
             module.momentum = 1.0
     detector.train()
+    if isinstance(detector.network, RtDetrNetwork):
+        # It stays as it infers.
+        model.train()
     with torch.no_grad():
-        detector.network.candidates(IMAGES) if detector.network.name != "yolo" else model(IMAGES)
+        own = detector.network.name in ("yolo", "rt_detr")
+        model(IMAGES) if own else detector.network.candidates(IMAGES)
     return detector.eval().requires_grad_(False)
 
 
 @pytest.fixture(
-    scope="module", params=[*ONE_OF_EACH, pytest.param("yolov8n.yaml", marks=YOLO.marks)]
+    scope="module",
+    params=[
+        *ONE_OF_EACH,
+        pytest.param("yolov8n.yaml", marks=YOLO.marks),
+        pytest.param("rtdetr-l.yaml", marks=YOLO.marks),
+    ],
 )
 def imported(request: pytest.FixtureRequest) -> ImportedDetector:
     torch.manual_seed(0)
+    if request.param == "rtdetr-l.yaml":
+        return livened(ImportedDetector("mine", rt_detr_plan([1, 2])))
     if request.param.endswith(".yaml"):
         return livened(ImportedDetector("mine", yolo_plan(request.param, [1, 2])))
     return livened(
@@ -94,7 +92,7 @@ def torchvision_network(architecture: str, **limits: Any) -> nn.Module:
     family, backbone, *_ = architecture.split("_")
     if architecture not in OTHER_BACKBONES:
         return getattr(detection, architecture)(
-            weights=None, weights_backbone=None, num_classes=len(CLASSES), **limits
+            weights=None, weights_backbone=None, num_classes=len(PLAN.classes), **limits
         )
     build = {"fasterrcnn": detection.FasterRCNN, "maskrcnn": detection.MaskRCNN}.get(family)
     if build is not None:
@@ -160,7 +158,7 @@ def test_other_classes_are_those_that_are_no_vehicles(imported: ImportedDetector
     twin = imported.of_other_classes()
     assert twin is not None
     # Class 0 is the background of Faster R-CNN.
-    two = {"faster_rcnn": [2], "yolo": [0]}.get(network.name, [0, 2])
+    two = {"faster_rcnn": [2], "yolo": [0], "rt_detr": [0]}.get(network.name, [0, 2])
     classes: Any = twin.network.vehicle_classes
     assert [*classes] == two
     assert network.vehicle_classes == before
@@ -272,7 +270,7 @@ def test_losses_by_their_formulas() -> None:
     focal = (0.75 * p**2 * -torch.log1p(-p)).sum(dim=(1, 2)) / 8
     torch.testing.assert_close(fcos.loss(IMAGES, NOTHING).double(), focal, rtol=1e-4, atol=1e-6)
     rcnn = livened(
-        ImportedDetector("mine", replace(PLAN, classes=CLASSES[:2], vehicle_classes=[1]))
+        ImportedDetector("mine", replace(PLAN, classes=PLAN.classes[:2], vehicle_classes=[1]))
     )
     assert isinstance(rcnn.network, ImportedFasterRcnn)
     named, _ = rcnn.network._features(IMAGES)
@@ -454,6 +452,43 @@ def test_loss_with_vehicles_is_at_the_networks_resolution(imported: ImportedDete
     alone = imported.loss(IMAGES[:1], NOTHING[:1])
     mixed = imported.loss(IMAGES, [NOTHING[0], *SEEN[1:]])
     torch.testing.assert_close(mixed[:1], alone, rtol=1e-4, atol=1e-5)
+
+
+@needs_yolo
+def test_an_rt_detr_of_ultralytics_answers_and_costs_as_there() -> None:
+    torch.manual_seed(0)
+    ours = livened(ImportedDetector("mine", rt_detr_plan([0, 1, 2])))
+    model: Any = ours.network.model
+    answers, raw = model(IMAGES)
+    for found, wanted in zip(ours.detect(IMAGES), answers, strict=True):
+        # Ultralytics lists a query once for each class, the best of all first.
+        best = wanted[wanted[:, 4] > 0.05][:3]
+        assert len(best) > 1
+        boxes = box_convert(best[:, :4], "cxcywh", "xyxy") * 96
+        nearest = torch.cdist(boxes.clamp(0, 96), found.boxes).min(dim=1)
+        assert float(nearest.values.max()) < 0.5
+        assert float(found.scores[0]) == pytest.approx(float(best[0, 4]), abs=1e-3)
+    criterion = model.init_criterion()
+    nothing = {"cls": torch.zeros(0, dtype=torch.int64), "bboxes": torch.zeros(0, 4)}
+    for index, loss in enumerate(ours.loss(IMAGES, NOTHING)):
+        # The last layer's answers to this image.
+        boxes, logits = (part[-1:, index : index + 1] for part in raw[:2])
+        terms = criterion((boxes, logits), {**nothing, "gt_groups": [0]})
+        torch.testing.assert_close(loss, terms["loss_class"])
+    one = rt_detr_plan([0])
+    assert isinstance(one.architecture, dict)
+    one = replace(one, architecture={**one.architecture, "nc": 1}, classes=["0"])
+    ours = livened(ImportedDetector("mine", one))
+    model = ours.network.model
+    boxes = SEEN[2]
+    truth = {
+        "img": IMAGES[2:],
+        "batch_idx": torch.zeros(len(boxes)),
+        "cls": torch.zeros(len(boxes)),
+        "bboxes": box_convert(boxes / 96, "xyxy", "cxcywh"),
+    }
+    wanted = model.loss(truth, model(IMAGES[2:]))[0].sum()
+    torch.testing.assert_close(ours.train().loss(IMAGES, SEEN)[2], wanted, rtol=1e-4, atol=1e-4)
 
 
 class Blobs(TrainableDetector):

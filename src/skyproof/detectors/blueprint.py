@@ -30,14 +30,16 @@ ARCHITECTURES = (
     "retinanet_resnet50_fpn_v2",
     *_BY_BACKBONE,
 )
-# The heads of Ultralytics that skyproof can read (without masks), and those with oriented boxes.
+# The heads of Ultralytics that skyproof can read (without masks), those with oriented boxes, and
+# that of RT-DETR.
 TURNED = ("OBB", "OBB26")
-HEADS = ("Detect", "v10Detect", "Segment", "Segment26", *TURNED)
+QUERIES = "RTDETRDecoder"
+HEADS = ("Detect", "v10Detect", "Segment", "Segment26", *TURNED, QUERIES)
 # Ultralytics looks a layer's name up among all it imports, functions that open files included, and
 # evaluates the text of an activation: only names of plain layers pass.
 _LAYER_NAMES = """
-A2C2f AConv ADown Bottleneck BottleneckCSP C1 C2 C2PSA C2f C2fCIB C2fPSA C3 C3Ghost C3TR C3k2 C3x
-CBFuse CBLinear Concat Conv ConvTranspose DWConv DWConvTranspose2d ELAN1 Focus GhostBottleneck
+A2C2f AConv ADown AIFI Bottleneck BottleneckCSP C1 C2 C2PSA C2f C2fCIB C2fPSA C3 C3Ghost C3TR C3k2
+C3x CBFuse CBLinear Concat Conv ConvTranspose DWConv DWConvTranspose2d ELAN1 Focus GhostBottleneck
 GhostConv HGBlock HGStem PSA RepC3 RepNCSPELAN4 ResNetLayer SCDown SPP SPPELAN SPPF nn.AvgPool2d
 nn.BatchNorm2d nn.Conv2d nn.ConvTranspose2d nn.Identity nn.MaxPool2d nn.Upsample nn.ZeroPad2d
 """

@@ -30,7 +30,8 @@ _WITHOUT_EPS = {
     "fasterrcnn_resnet50_fpn": detection.FasterRCNN_ResNet50_FPN_Weights.COCO_V1,
 }
 
-_NETWORKS = [f"ultralytics.nn.tasks.{kind}Model" for kind in ("Detection", "OBB", "Segmentation")]
+_KINDS = ("Detection", "OBB", "RTDETRDetection", "Segmentation")
+_NETWORKS = [f"ultralytics.nn.tasks.{kind}Model" for kind in _KINDS]
 # Modules of the repository of 2020, as a checkout and as a package.
 _ANCHOR_NETWORKS = tuple(
     f"{package}models.yolo.{name}"

@@ -15,7 +15,7 @@ from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
 from torchvision.ops.feature_pyramid_network import LastLevelP6P7
 
 from skyproof.detectors.anchor_detector import AnchorDetector
-from skyproof.detectors.blueprint import ARCHITECTURES, Blueprint
+from skyproof.detectors.blueprint import ARCHITECTURES, QUERIES, Blueprint
 from skyproof.detectors.checkpoints import averaged_first
 from skyproof.detectors.detector import (
     PADDING_GREY,
@@ -27,6 +27,7 @@ from skyproof.detectors.detector import (
     check_images,
     check_targets,
 )
+from skyproof.detectors.query_detector import QueryDetector
 from skyproof.detectors.torchvision_detectors import (
     POSITIVES_PER_VEHICLE,
     FasterRcnnDetector,
@@ -35,7 +36,7 @@ from skyproof.detectors.torchvision_detectors import (
     own_answers,
 )
 from skyproof.detectors.transformers_detectors import TransformersNetwork
-from skyproof.detectors.ultralytics_detectors import YoloNetwork
+from skyproof.detectors.ultralytics_detectors import RtDetrNetwork, YoloNetwork
 from skyproof.errors import ConfigurationError, is_full_memory
 
 # The mean and deviation of torchvision's own transform.
@@ -165,14 +166,17 @@ class ImportedDetector(TrainableDetector):
 
 def _network(
     blueprint: Blueprint, side_px: int
-) -> TorchvisionDetector | YoloNetwork | AnchorDetector | TransformersNetwork:
+) -> TorchvisionDetector | YoloNetwork | AnchorDetector | QueryDetector:
     if blueprint.kind == "transformers":
         plan: Any = blueprint.architecture
         return TransformersNetwork(plan, blueprint.vehicle_classes, len(blueprint.classes), side_px)
     if isinstance(blueprint.architecture, dict):
         # The checkpoint lists class names; its architecture decides how many the head has.
-        network: YoloNetwork | AnchorDetector
-        if "anchors" in blueprint.architecture:
+        network: YoloNetwork | AnchorDetector | RtDetrNetwork
+        if blueprint.architecture["head"][-1][2] == QUERIES:
+            network = RtDetrNetwork(blueprint.architecture, blueprint.vehicle_classes, side_px)
+            known = network.classes
+        elif "anchors" in blueprint.architecture:
             known = int(blueprint.architecture.get("nc", 0))
             network = AnchorDetector(blueprint.architecture, blueprint.vehicle_classes, "brought")
         else:

@@ -13,46 +13,23 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from jaxtyping import Float
 from torch import Tensor
-from torch.nn import functional
 from torch.overrides import TorchFunctionMode
-from torchvision.ops import box_convert, box_iou
 
 from skyproof.detectors.blueprint import check_configuration
 from skyproof.detectors.cost import measured
-from skyproof.detectors.detector import (
-    PADDING_GREY,
-    Boxes,
-    Candidates,
-    Images,
-    TrainableDetector,
-    check_images,
-    check_targets,
-    pad_to_stride,
-)
+from skyproof.detectors.query_detector import Answers, QueryDetector
 from skyproof.detectors.transformers_folder import REMEDY, TIMM
 from skyproof.errors import ConfigurationError
 
-# Weight and exponent of a query without a vehicle in the libraries' focal and varifocal losses.
-_FOCAL_WEIGHT = 0.75
-_FOCAL_EXPONENT = 2
-_STRIDE_PX = 32
 # What the library tells of weights that do not fit.
 _LOADING = ("missing_keys", "unexpected_keys", "mismatched_keys")
 
 
-class TransformersNetwork(TrainableDetector):
-    """A DETR, RT-DETR or relative: each query answers with one box and a score of each class.
-
-    Boxes are shares of the image's sides, so smaller images are padded to `side_px`, the side in
-    training. Answers are not suppressed. For training, the library cuts gradients between encoder,
-    queries and layers; for attacks they go all the way. Dropout stays off, in training as well.
-    """
+class TransformersNetwork(QueryDetector):
+    """A DETR, RT-DETR or relative. For training, the library cuts gradients between its parts."""
 
     name = "transformers"
-    size = "brought"
-    suppression_iou = 1.0
 
     def __init__(
         self,
@@ -61,101 +38,29 @@ class TransformersNetwork(TrainableDetector):
         classes: int,
         side_px: int,
     ) -> None:
-        super().__init__()
-        self.vehicle_classes = list(vehicle_classes)
-        self.side_px = side_px
+        super().__init__(vehicle_classes, classes, side_px)
         self.model = build_network(architecture, classes)
-        self._colours = (architecture["image_mean"], architecture["image_std"])
-        self._classes = classes
+        self.colours = (architecture["image_mean"], architecture["image_std"])
         # Some families hold a layer under two names, which one file cannot.
         self.model.register_state_dict_post_hook(_drop_second_names)
         self.model.register_load_state_dict_pre_hook(_restore_second_names)
 
-    def train(self, mode: bool = True) -> "TransformersNetwork":
-        """Keeps the network as it infers: without dropout, and without noised queries."""
-        super().train(False)
-        return self
-
-    def candidates(self, images: Images) -> Candidates:
-        """Every query's box and its score of the likeliest vehicle class."""
-        seen, sides = self._seen(images)
+    def answers(self, seen: Tensor) -> Answers:
+        """See `QueryDetector.answers`."""
         with _WholeGradient():
-            answers = self.model(pixel_values=seen)
-        boxes = box_convert(answers.pred_boxes, "cxcywh", "xyxy") * sides
-        if self._tells_nothing(answers.logits):
-            scores = answers.logits.softmax(dim=-1)[..., self.vehicle_classes].amax(dim=-1)
-        else:
-            scores = answers.logits[..., self.vehicle_classes].amax(dim=-1).sigmoid()
-        return Candidates(boxes, scores, torch.ones_like(scores, dtype=torch.bool))
+            found = self.model(pixel_values=seen)
+        return Answers(found.logits, found.pred_boxes)
 
-    def loss(self, images: Images, targets: Sequence[Boxes]) -> Float[Tensor, " B"]:
-        """The library's own loss of each image, and for an empty truth its part for the queries.
+    def cost(self, seen: Tensor, classes: Tensor, boxes: Tensor) -> Tensor:
+        """See `QueryDetector.cost`."""
+        truth = {"class_labels": classes, "boxes": boxes}
+        loss: Tensor = self.model(pixel_values=seen, labels=[truth]).loss
+        return loss
 
-        With an empty truth every query of the last layer should answer "no vehicle": the focal
-        term of each vehicle class, summed as the library does; for DETR, whose softmax has a class
-        "nothing", minus the log of the share of the other classes, summed where the library
-        averages. Where a network tells several vehicle classes apart, the likeliest one of the
-        query that overlaps a vehicle most is the right one.
-        """
-        check_targets(images, targets)
-        seen, sides = self._seen(images)
-        if not any(map(len, targets)):
-            with _WholeGradient():
-                return self._doubt(self.model(pixel_values=seen).logits)
-        losses = []
-        for image, boxes in zip(seen.split(1), targets, strict=True):
-            if not len(boxes):
-                losses.append(self._doubt(self.model(pixel_values=image).logits)[0])
-                continue
-            wanted = boxes.to(sides) / sides
-            truth = {
-                "class_labels": self._likeliest(image, wanted),
-                "boxes": box_convert(wanted, "xyxy", "cxcywh"),
-            }
-            losses.append(self.model(pixel_values=image, labels=[truth]).loss)
-        return torch.stack(losses)
-
-    @torch.no_grad()
-    def pyramid(self, images: Images) -> tuple[list[Tensor], int]:
-        """See `TrainableDetector.pyramid`; the features are those of the backbone."""
-        seen, _ = self._seen(images)
+    def features(self, seen: Tensor) -> list[Tensor]:
+        """See `QueryDetector.features`."""
         whole = seen.new_ones(seen[:, 0].shape)
-        levels = self.model.model.backbone(seen, whole)
-        return [features for features, _ in levels], seen.shape[-1]
-
-    def _tells_nothing(self, logits: Tensor) -> bool:
-        """Whether the last class is "nothing", as in DETR."""
-        return logits.shape[-1] == self._classes + 1
-
-    def _doubt(self, logits: Tensor) -> Float[Tensor, " B"]:
-        vehicles = logits[..., self.vehicle_classes]
-        if self._tells_nothing(logits):
-            others = [each for each in range(logits.shape[-1]) if each not in self.vehicle_classes]
-            odds = vehicles.logsumexp(dim=-1) - logits[..., others].logsumexp(dim=-1)
-            return functional.softplus(odds).sum(dim=-1)
-        weight = _FOCAL_WEIGHT * vehicles.sigmoid() ** _FOCAL_EXPONENT
-        return (weight * functional.softplus(vehicles)).sum(dim=(1, 2))
-
-    @torch.no_grad()
-    def _likeliest(self, image: Tensor, boxes: Tensor) -> Tensor:
-        """Each box's vehicle class: the likeliest one of the query that overlaps it most."""
-        known = torch.tensor(self.vehicle_classes, device=image.device)
-        if len(known) == 1:
-            return known.expand(len(boxes))
-        answers = self.model(pixel_values=image)
-        overlaps = box_iou(box_convert(answers.pred_boxes[0], "cxcywh", "xyxy"), boxes)
-        return known[answers.logits[0, overlaps.argmax(dim=0)][:, known].argmax(dim=1)]
-
-    def _seen(self, images: Images) -> tuple[Tensor, Tensor]:
-        """Pads right and below to the side in training, and normalises; also returns the sides."""
-        check_images(images)
-        height, width = images.shape[-2:]
-        margins = (0, max(0, self.side_px - width), 0, max(0, self.side_px - height))
-        padded = functional.pad(images, margins, value=PADDING_GREY)
-        padded = pad_to_stride(padded, value=PADDING_GREY, stride_px=_STRIDE_PX)
-        mean, deviation = (images.new_tensor(each).view(3, 1, 1) for each in self._colours)
-        sides = images.new_tensor([padded.shape[-1], padded.shape[-2]] * 2)
-        return (padded - mean) / deviation, sides
+        return [features for features, _ in self.model.model.backbone(seen, whole)]
 
 
 class _WholeGradient(TorchFunctionMode):

@@ -24,7 +24,7 @@ from PIL import Image
 from torch import Tensor
 from torch.nn import functional
 
-from skyproof.detectors.blueprint import TURNED, check_layers
+from skyproof.detectors.blueprint import QUERIES, TURNED, check_layers
 from skyproof.detectors.cost import SIDE_PX, measured
 from skyproof.detectors.detector import (
     Boxes,
@@ -35,6 +35,7 @@ from skyproof.detectors.detector import (
     check_targets,
     pad_to_stride,
 )
+from skyproof.detectors.query_detector import Answers, QueryDetector
 from skyproof.errors import ConfigurationError
 
 # Layer widths in Ultralytics' YAML file: those of its YOLOv5n and its YOLOv5s.
@@ -173,6 +174,43 @@ class YoloNetwork(YoloDetector):
         self.model = build_model(architecture)
 
 
+class RtDetrNetwork(QueryDetector):
+    """An RT-DETR of Ultralytics with any classes, without its weights."""
+
+    name = "rt_detr"
+    focal_exponent = 1.5
+
+    def __init__(
+        self, architecture: Mapping[str, Any], vehicle_classes: Sequence[int], side_px: int
+    ) -> None:
+        model = build_model(architecture)
+        super().__init__(vehicle_classes, int(model.model[-1].nc), side_px)
+        self.model = model
+        # Ultralytics' trainer tells it for the loss.
+        self.model.nc = self.classes
+
+    def answers(self, seen: Tensor) -> Answers:
+        """See `QueryDetector.answers`; only in training the library cuts gradients."""
+        _, (boxes, logits, *_) = self.model(seen)
+        return Answers(logits[-1], boxes[-1])
+
+    def cost(self, seen: Tensor, classes: Tensor, boxes: Tensor) -> Tensor:
+        """See `QueryDetector.cost`."""
+        zeros = torch.zeros_like(classes)
+        truth = {"img": seen, "batch_idx": zeros, "cls": classes, "bboxes": boxes}
+        loss: Tensor = self.model.loss(truth, self.model(seen))[0]
+        return loss.sum()
+
+    def features(self, seen: Tensor) -> list[Tensor]:
+        """See `QueryDetector.features`; the features are the inputs of the decoder."""
+        levels: list[Tensor] = []
+        head = self.model.model[-1]
+        hook = head.register_forward_pre_hook(lambda _, inputs: levels.extend(inputs[0]))
+        self.model(seen)
+        hook.remove()
+        return levels
+
+
 def yolov5_architecture(size: str) -> dict[str, Any]:
     """Returns the architecture of Ultralytics' YOLOv5n with the layer width of `size`."""
     with _quiet_import():
@@ -189,9 +227,10 @@ def build_model(architecture: Mapping[str, Any]) -> Any:
     check_layers(architecture)
     with _quiet_import():
         from ultralytics.nn.modules.conv import Conv
-        from ultralytics.nn.tasks import DetectionModel, OBBModel
+        from ultralytics.nn.tasks import DetectionModel, OBBModel, RTDETRDetectionModel
 
-        kind = OBBModel if architecture["head"][-1][2] in TURNED else DetectionModel
+        special = {**dict.fromkeys(TURNED, OBBModel), QUERIES: RTDETRDetectionModel}
+        kind = special.get(architecture["head"][-1][2], DetectionModel)
         # The library would use an architecture's activation for all later networks.
         usual = Conv.default_act
         try:
