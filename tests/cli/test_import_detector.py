@@ -12,10 +12,12 @@ import torch
 from PIL import Image
 from torchvision.models.detection import fasterrcnn_mobilenet_v3_large_fpn
 
+from skyproof.assessment.subject import _digest
 from skyproof.datasets.coco import Annotation, CocoWriter
 from skyproof.detectors.card import read_card
 from skyproof.words import detector_name
 from tests.cli.conftest import Skyproof
+from tests.transformers_folders import needs_transformers, write_folder
 
 CPU = ["--device", "cpu"]
 KIND = ["--kind", "torchvision", "--architecture", "fasterrcnn_mobilenet_v3_large_fpn"]
@@ -197,3 +199,32 @@ def test_what_a_detector_was_trained_on(finished: Path, tmp_path: Path, skyproof
         == 0
     )
     assert read_card(tmp_path / "out").trained_on == "alone: images of unknown origin"
+
+
+@needs_transformers
+def test_a_folder_of_transformers_is_taken_as_it_is(
+    finished: Path, tmp_path: Path, skyproof: Skyproof, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    theirs = tmp_path / "theirs"
+    write_folder(theirs, "rt_detr")
+    plan = ["assess", theirs, "--plan", "--out", tmp_path / "run"]
+    skyproof(*plan).refused("--vehicle-classes")
+    skyproof(*plan, "--vehicle-classes", "truck").refused("car, van, boat", "truck")
+    answer = skyproof(*plan, "--vehicle-classes", "van", "car")
+    assert answer.code == 0, answer.err
+    call = ["import", theirs, "--kind", "transformers", "--vehicle-classes", "van"]
+    call += ["--validation", finished / "datasets/validation"]
+    skyproof(*call, "--architecture", "fcos_resnet50_fpn", "--out", tmp_path / "x").refused(
+        "--architecture"
+    )
+    # An untrained network finds vehicles by luck alone.
+    scores = {"ap_centre_1m": 0.5, "ap_iou_50": 0.4, "f1": 0.6, "threshold": 0.3}
+    monkeypatch.setattr("skyproof.detectors.validation._scores", lambda *_: dict(scores))
+    answer = skyproof(*call, "--out", tmp_path / "ours", *CPU)
+    assert answer.code == 0, answer.err
+    assert read_card(tmp_path / "ours").trained_on.startswith("elsewhere: transformers checkpoint")
+    # A changed file beside the weights is a changed detector.
+    digest = _digest(theirs / "model.safetensors")
+    (theirs / "preprocessor_config.json").write_text("{}")
+    assert _digest(theirs / "model.safetensors") != digest
+    skyproof(*plan, "--vehicle-classes", "van").refused("preprocessor_config.json", "size")

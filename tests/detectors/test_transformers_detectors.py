@@ -14,8 +14,8 @@ import pytest
 import torch
 from detector_images import bar_images
 from safetensors.torch import load_file, save_file
+from tests.transformers_folders import CLASSES, FAMILIES, SIDE_PX, needs_transformers, write_folder
 from torchvision.ops import box_convert, clip_boxes_to_image
-from transformers_folders import CLASSES, FAMILIES, SIDE_PX, needs_transformers, write_folder
 
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.card import read_card
