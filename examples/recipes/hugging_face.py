@@ -1,7 +1,8 @@
-"""Assesses a detector of Hugging Face's transformers, such as DETR, RT-DETR or D-FINE.
+"""Assesses a detector of Hugging Face's transformers that skyproof cannot import, such as YOLOS.
 
-Install `transformers`. Change the paths, the number of the vehicle class, and TILE: the side of the
-images that the detector usually gets, in pixels. Smaller ones are padded to keep their scale.
+Folders of DETR, RT-DETR and D-FINE are assessed with gradients, and need no such program. Install
+`transformers`. Change the paths, the number of the vehicle class, and TILE: the side of the images
+that the detector usually gets, in pixels. Smaller ones are padded to keep their scale.
 """
 
 import torch
