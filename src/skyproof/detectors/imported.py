@@ -29,11 +29,9 @@ from skyproof.detectors.detector import (
 )
 from skyproof.detectors.query_detector import QueryDetector
 from skyproof.detectors.torchvision_detectors import (
-    POSITIVES_PER_VEHICLE,
     FasterRcnnDetector,
     RetinaNetDetector,
     TorchvisionDetector,
-    own_answers,
 )
 from skyproof.detectors.transformers_detectors import TransformersNetwork
 from skyproof.detectors.ultralytics_detectors import RtDetrNetwork, YoloNetwork
@@ -282,20 +280,12 @@ class ImportedFcos(_Imported):
 
     name = "fcos"
 
-    def loss(self, images: Images, targets: Sequence[Boxes]) -> Float[Tensor, " B"]:
-        """torchvision's focal, box and centredness losses per image, divided as RetinaNet's are."""
-        check_targets(images, targets)
-        outputs, anchors = self._outputs(images)
+    def _terms(
+        self, target: dict[str, Tensor], own: dict[str, Tensor], anchors: Tensor
+    ) -> dict[str, Tensor]:
         # The anchors of a level are squares of one size.
         _, levels = (anchors[:, 2] - anchors[:, 0]).unique_consecutive(return_counts=True)
-        losses = []
-        for index, boxes in enumerate(targets):
-            target = {"boxes": boxes, "labels": boxes.new_zeros(len(boxes), dtype=torch.int64)}
-            own = own_answers(outputs, index, vehicles=len(boxes))
-            terms = self.model.compute_loss([target], own, [anchors], levels.tolist())
-            divisor = 1.0 if len(boxes) else POSITIVES_PER_VEHICLE
-            losses.append(sum(terms.values()) / divisor)
-        return torch.stack(losses)
+        return self.model.compute_loss([target], own, [anchors], levels.tolist())
 
     def candidates(self, images: Images) -> Candidates:
         """Every point's box and score."""

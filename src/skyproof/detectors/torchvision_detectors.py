@@ -4,6 +4,7 @@ import math
 from collections import OrderedDict
 from collections.abc import Sequence
 from functools import partial
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -85,6 +86,33 @@ class TorchvisionDetector(TrainableDetector):
         # Images of one batch share their size and therefore their anchors.
         return self.model.head(features), self.model.anchor_generator(image_list, features)[0]
 
+    def loss(self, images: Images, targets: Sequence[Boxes]) -> Float[Tensor, " B"]:
+        """torchvision's own losses of a one-stage network per image, over all anchors.
+
+        Each is divided by its image's positive anchors. With an empty truth torchvision does not
+        divide the focal sum; here it is divided by the positives of a single vehicle. Where a
+        network tells several vehicle classes apart, the likeliest of each anchor is the right one.
+        """
+        check_targets(images, targets)
+        outputs, anchors = self._outputs(images)
+        losses: list[Any] = []
+        for index, boxes in enumerate(targets):
+            own = {key: value[index : index + 1] for key, value in outputs.items()}
+            divisor = POSITIVES_PER_VEHICLE
+            if len(boxes):
+                own["cls_logits"] = own["cls_logits"].amax(dim=-1, keepdim=True)
+                divisor = 1.0
+            # These networks keep no background class, so the label of the one class is 0.
+            target = {"boxes": boxes, "labels": boxes.new_zeros(len(boxes), dtype=torch.int64)}
+            losses.append(sum(self._terms(target, own, anchors).values()) / divisor)
+        return torch.stack(losses)
+
+    def _terms(
+        self, target: dict[str, Tensor], own: dict[str, Tensor], anchors: Tensor
+    ) -> dict[str, Tensor]:
+        """torchvision's losses of one image."""
+        return self.model.compute_loss([target], own, [anchors])
+
     @torch.no_grad()
     def pyramid(self, images: Images) -> tuple[list[Tensor], int]:
         """See `TrainableDetector.pyramid`."""
@@ -103,36 +131,11 @@ class RetinaNetDetector(TorchvisionDetector):
     def __init__(self, size: str) -> None:
         super().__init__(size, _build_retinanet(size))
 
-    def loss(self, images: Images, targets: Sequence[Boxes]) -> Float[Tensor, " B"]:
-        """torchvision's focal and box losses per image, over all anchors.
-
-        Each is divided by its image's positive anchors. With an empty truth torchvision does not
-        divide the focal sum; here it is divided by the positives of a single vehicle. Where a
-        network tells several vehicle classes apart, the likeliest of each anchor is the right one.
-        """
-        check_targets(images, targets)
-        outputs, anchors = self._outputs(images)
-        losses = []
-        for index, boxes in enumerate(targets):
-            if len(boxes):
-                matched = self.model.proposal_matcher(ops.box_iou(boxes, anchors))
-            else:
-                matched = torch.full((len(anchors),), -1, dtype=torch.int64, device=anchors.device)
-            # RetinaNet keeps no background class, so the label of its one class is 0.
-            target = {"boxes": boxes, "labels": matched.new_zeros(len(boxes))}
-            own = own_answers(outputs, index, vehicles=len(boxes))
-            terms = self.model.head.compute_loss([target], own, [anchors], [matched])
-            divisor = 1.0 if len(boxes) else POSITIVES_PER_VEHICLE
-            losses.append((terms["classification"] + terms["bbox_regression"]) / divisor)
-        return torch.stack(losses)
-
     def candidates(self, images: Images) -> Candidates:
         """Every anchor's decoded box, with the best sigmoid score among its classes."""
         outputs, anchors = self._outputs(images)
         deltas = outputs["bbox_regression"]
-        boxes = self.model.box_coder.decode_single(
-            deltas.flatten(0, 1), anchors.repeat(len(images), 1)
-        )
+        boxes = self.model.box_coder.decode(deltas, [anchors] * len(images))
         scores = outputs["cls_logits"].amax(dim=-1).sigmoid()
         return Candidates(boxes.view_as(deltas), scores, torch.ones_like(scores, dtype=torch.bool))
 
@@ -217,9 +220,7 @@ class FasterRcnnDetector(TorchvisionDetector):
         objectness = objectness.view(batch, -1)
         deltas = deltas.view(batch, -1, 4)
         # As in torchvision no gradient flows through the places of the proposals.
-        boxes = network.box_coder.decode_single(
-            deltas.detach().flatten(0, 1), anchors.repeat(batch, 1)
-        )
+        boxes = network.box_coder.decode(deltas.detach(), [anchors] * batch)
         proposals, _ = network.filter_proposals(
             boxes.view_as(deltas), objectness, image_list.image_sizes, level_sizes
         )
@@ -276,14 +277,6 @@ class FasterRcnnDetector(TorchvisionDetector):
         """Every region's score of its likeliest vehicle class, and that class's column."""
         scores, best = logits.softmax(dim=1)[:, list(self.vehicle_classes)].max(dim=1)
         return scores, torch.tensor(self.vehicle_classes, device=best.device)[best]
-
-
-def own_answers(answers: dict[str, Tensor], index: int, *, vehicles: int) -> dict[str, Tensor]:
-    """An image's answers; if it shows vehicles, an anchor has the score of its likeliest class."""
-    own = {key: value[index : index + 1] for key, value in answers.items()}
-    if vehicles:
-        own["cls_logits"] = own["cls_logits"].amax(dim=-1, keepdim=True)
-    return own
 
 
 def _cost_of_the_sure(objectness: Tensor, logits: Tensor) -> Tensor:
