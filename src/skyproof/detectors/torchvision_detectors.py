@@ -344,20 +344,12 @@ def _build_faster_rcnn(size: str) -> FasterRCNN:
     return model
 
 
-def _convolution(inputs: int, outputs: int, stride: int = 1) -> nn.Sequential:
-    return nn.Sequential(
-        nn.Conv2d(inputs, outputs, 3, stride=stride, padding=1, bias=False),
-        nn.BatchNorm2d(outputs),
-        nn.ReLU(inplace=True),
-    )
-
-
 class _Residual(nn.Module):
     """Two 3x3 convolutions beside the identity; the second starts at zero, for easy training."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
-        self.first = _convolution(channels, channels)
+        self.first = ops.Conv2dNormActivation(channels, channels)
         self.second = nn.Conv2d(channels, channels, 3, padding=1, bias=False)
         self.normalise = nn.BatchNorm2d(channels)
         nn.init.zeros_(self.normalise.weight)
@@ -375,12 +367,16 @@ class _SlimBackbone(nn.Module):
         first, second, third, fourth = 24, 48, 96, 128
         self.out_channels = _PYRAMID_CHANNELS
         self.to_stride_4 = nn.Sequential(
-            _convolution(3, first, stride=2),
-            _convolution(first, second, stride=2),
+            ops.Conv2dNormActivation(3, first, stride=2),
+            ops.Conv2dNormActivation(first, second, stride=2),
             _Residual(second),
         )
-        self.to_stride_8 = nn.Sequential(_convolution(second, third, stride=2), _Residual(third))
-        self.to_stride_16 = nn.Sequential(_convolution(third, fourth, stride=2), _Residual(fourth))
+        self.to_stride_8 = nn.Sequential(
+            ops.Conv2dNormActivation(second, third, stride=2), _Residual(third)
+        )
+        self.to_stride_16 = nn.Sequential(
+            ops.Conv2dNormActivation(third, fourth, stride=2), _Residual(fourth)
+        )
         self.pyramid = ops.FeaturePyramidNetwork([third, fourth], _PYRAMID_CHANNELS)
 
     def forward(self, images: Float[Tensor, "B 3 H W"]) -> OrderedDict[str, Tensor]:
