@@ -40,14 +40,6 @@ from skyproof.errors import ConfigurationError, is_full_memory
 # The mean and deviation of torchvision's own transform.
 MEAN = (0.485, 0.456, 0.406)
 DEVIATION = (0.229, 0.224, 0.225)
-# The layer with one row per class, or one per class and each of nine anchors.
-_CLASS_ROWS = {
-    "fasterrcnn": ("roi_heads.box_predictor.cls_score.bias", 1),
-    "maskrcnn": ("roi_heads.box_predictor.cls_score.bias", 1),
-    "fcos": ("head.classification_head.cls_logits.bias", 1),
-    "retinanet": ("head.classification_head.cls_logits.bias", 9),
-}
-
 # torchvision enlarges images to 800 px, Ultralytics trains on 640 px, if nothing else is asked.
 _USUAL_SIDES_PX = {"torchvision": 800, "ultralytics": 640, "transformers": 640}
 _WINDOWS_PX = (192, 2048)
@@ -191,13 +183,7 @@ def _network(
     for layer in model.backbone.modules():
         if blueprint.norm_eps is not None and isinstance(layer, nn.BatchNorm2d):
             layer.eps = blueprint.norm_eps
-    families = {
-        "fasterrcnn": ImportedFasterRcnn,
-        "maskrcnn": ImportedFasterRcnn,
-        "fcos": ImportedFcos,
-        "retinanet": _ImportedRetinaNet,
-    }
-    family = families[blueprint.architecture.partition("_")[0]]
+    family, _, _ = _FAMILIES[blueprint.architecture.partition("_")[0]]
     return family(model, tuple(blueprint.vehicle_classes), blueprint.normalised is not False)
 
 
@@ -228,7 +214,7 @@ def class_rows(architecture: str, state: Mapping[str, Tensor]) -> tuple[int, str
         raise ConfigurationError(
             f"--architecture expects one of {', '.join(ARCHITECTURES)}, got {architecture!r}."
         )
-    name, anchors = _CLASS_ROWS[architecture.partition("_")[0]]
+    _, name, anchors = _FAMILIES[architecture.partition("_")[0]]
     prefixes = [key.removesuffix(name) for key in state if f".{key}".endswith(f".{name}")]
     prefix = averaged_first(prefixes)[0] if prefixes else ""
     name = prefix + name
@@ -297,3 +283,13 @@ class ImportedFcos(_Imported):
         product = outputs["cls_logits"].amax(dim=-1).sigmoid() * centredness
         scores = product.clamp(min=1e-12).sqrt()
         return Candidates(boxes, scores, torch.ones_like(scores, dtype=torch.bool))
+
+
+# torchvision's families, each with the layer that has one row per class, or one per class and each
+# of nine anchors.
+_FAMILIES: dict[str, tuple[type[_Imported], str, int]] = {
+    "fasterrcnn": (ImportedFasterRcnn, "roi_heads.box_predictor.cls_score.bias", 1),
+    "maskrcnn": (ImportedFasterRcnn, "roi_heads.box_predictor.cls_score.bias", 1),
+    "fcos": (ImportedFcos, "head.classification_head.cls_logits.bias", 1),
+    "retinanet": (_ImportedRetinaNet, "head.classification_head.cls_logits.bias", 9),
+}

@@ -168,16 +168,15 @@ def match_detections(
     # Detections choose one after the other.
     truth_of_detection = torch.full((len(boxes),), -1, dtype=torch.int64)
     detection_of_truth = torch.full((len(truth),), -1, dtype=torch.int64)
-    taken: dict[int, int] = {}
+    taken = set[int]()
     order = torch.argsort(scores, descending=True, stable=True).tolist() if pairs else []
     for detection in order:
         free = [pair for pair in pairs.get(detection, ()) if pair[1] not in taken]
         if free:
             best = min(free)[1]
+            taken.add(best)
             truth_of_detection[detection] = best
-            taken[best] = detection
-    for vehicle, detection in taken.items():
-        detection_of_truth[vehicle] = detection
+            detection_of_truth[best] = detection
     ignored = torch.zeros(len(boxes), dtype=torch.bool)
     if ignore is not None and len(ignore):
         ignored = contain(ignore, centres[:, None]).any(dim=1) & (truth_of_detection < 0)
