@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-from msgspec.structs import asdict
+from msgspec.structs import asdict, replace
 
 from skyproof.assessment.environment import note_end, write_environment
 from skyproof.console import duration, say
@@ -295,16 +295,15 @@ class Run:
         self._add_time(step, time.monotonic() - started)
 
     def _add_time(self, step: Step, seconds: float) -> None:
-        rows = [
+        rows = {(row.stage, row.name): row for row in read_timings(self._layout.timings)}
+        new = Timing(stage=step.kind, name=step.name, seconds=0.0)
+        row = rows.get((step.kind, step.name), new)
+        rows[row.stage, row.name] = replace(row, seconds=round(row.seconds + seconds, 2))
+        known = [
             {name: value for name, value in asdict(row).items() if value is not None}
-            for row in read_timings(self._layout.timings)
+            for row in rows.values()
         ]
-        known = [row for row in rows if (row["stage"], row.get("name")) == (step.kind, step.name)]
-        if not known:
-            known = [{"stage": step.kind, "name": step.name, "seconds": 0.0}]
-            rows += known
-        known[0]["seconds"] = round(known[0]["seconds"] + seconds, 2)
-        write_json(self._layout.timings, rows)
+        write_json(self._layout.timings, known)
 
 
 def time_left_s(

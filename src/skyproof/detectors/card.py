@@ -4,7 +4,6 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -143,14 +142,6 @@ def read_card(folder: Path) -> DetectorCard:
                 f"{path} lacks the weights_sha256 of the weights beside it; {_REMEDY}."
             )
         return card
-
-
-def installed_version() -> str:
-    """skyproof's version, or "unknown" if it runs from sources that are not installed."""
-    try:
-        return version("skyproof")
-    except PackageNotFoundError:
-        return "unknown"
 
 
 def require_detector_name(name: str, remedy: str) -> None:

@@ -13,10 +13,11 @@ from torch import Tensor, nn
 from torch.optim.lr_scheduler import LambdaLR
 from torch.optim.swa_utils import AveragedModel
 
+from skyproof import __version__
 from skyproof.datasets.dataset import Dataset
 from skyproof.datasets.pictures import made_ahead
 from skyproof.detectors.batches import training_batch
-from skyproof.detectors.card import DetectorCard, installed_version
+from skyproof.detectors.card import DetectorCard
 from skyproof.detectors.detector import WINDOW_PX, TrainableDetector
 from skyproof.detectors.loaded import load_detector, save_detector
 from skyproof.detectors.settings import TrainingSettings
@@ -164,7 +165,7 @@ def fit(
             training={**card.training, "best_step": scores["step"]},
             validation={key: scores[key] for key in ("ap_centre_1m", "ap_iou_50", "f1")},
             validation_vehicles=sum(map(len, validation.boxes)),
-            skyproof_version=installed_version(),
+            skyproof_version=__version__,
         )
         save_detector(folder, detector.eval(), made)
         loop.forget()

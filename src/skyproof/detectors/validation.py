@@ -9,8 +9,9 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from skyproof import __version__
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.card import LEAST_AP, DetectorCard, installed_version
+from skyproof.detectors.card import LEAST_AP, DetectorCard
 from skyproof.detectors.detector import LOWEST_SCORE, WINDOW_PX, Detections, Detector
 from skyproof.detectors.inference import detect_all
 from skyproof.detectors.matching import MatchTable, match_images
@@ -162,7 +163,7 @@ def frozen_card(detector: Detector, labelled: Dataset, remedy: str) -> DetectorC
         image_size_px=(min(height_px, WINDOW_PX), min(width_px, WINDOW_PX)),
         validation=scores,
         validation_vehicles=vehicles,
-        skyproof_version=installed_version(),
+        skyproof_version=__version__,
     )
 
 

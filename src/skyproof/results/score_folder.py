@@ -227,30 +227,28 @@ def merge_scores(
     ]
     cells = sorted({cell for _, counts in read for cell in counts.cells})
     place = {cell: index for index, cell in enumerate(cells)}
-    series: dict[Series, np.ndarray] = {}
-    source: dict[Series, ScoreFolder] = {}
+    series: dict[Series, tuple[ScoreFolder, np.ndarray]] = {}
     shown: dict[str, tuple[ScoreFolder, np.ndarray]] = {}
     for folder, counted in read:
         rows = [place[cell] for cell in counted.cells]
         for key, counts in counted.series.items():
             spread = np.zeros((len(cells), 4), dtype=np.int64)
             spread[rows] = counts
-            if key in series and not np.array_equal(series[key], spread):
-                raise _contradiction(source[key], folder, key)
+            first, known = series.setdefault(key, (folder, spread))
+            if not np.array_equal(known, spread):
+                raise _contradiction(first, folder, key)
             first, vehicles = shown.setdefault(key.renderer, (folder, spread[:, 0]))
             if not np.array_equal(vehicles, spread[:, 0]):
                 raise ConfigurationError(
                     f"{first.path} and {folder.path} do not show the same vehicles on the same "
                     "tiles; put only scores of one scene file into one run."
                 )
-            series.setdefault(key, spread)
-            source.setdefault(key, folder)
-    _refuse_other_detectors(source)
+    _refuse_other_detectors({key: folder for key, (folder, _) in series.items()})
     sets = _merge_sets(compared)
     if thresholds is not None:
         nan = math.nan
         sets = [replace(each, false_alarms_per_km2=nan, called_another_class=nan) for each in sets]
-    return OutcomeCounts(tuple(cells), series), sets
+    return OutcomeCounts(tuple(cells), {key: spread for key, (_, spread) in series.items()}), sets
 
 
 def _refuse_other_detectors(source: dict[Series, ScoreFolder]) -> None:
