@@ -73,22 +73,20 @@ class AnchorHead(nn.Module):
         """Every anchor's box (pixel xyxy), and its logits of an object and of each class."""
         found = []
         for number, raw in enumerate(answers.levels):
-            centres, sizes = self.centred(raw, number)
+            stride_px = self.strides_px[number]
+            # Centres relative to the cell's corner, and sizes, both in cells.
+            centres = raw[..., :2].sigmoid() * 2 - 0.5
+            anchors = (self.anchors_px[number] / stride_px)[:, None, None]
+            sizes = (raw[..., 2:4].sigmoid() * 2) ** 2 * anchors
             rows, columns = (torch.arange(side, device=raw.device) for side in raw.shape[2:4])
             cells = torch.cartesian_prod(rows, columns).flip(1).view(*raw.shape[2:4], 2).float()
-            centres = (centres + cells) * self.strides_px[number]
-            halves = sizes * self.strides_px[number] / 2
+            centres = (centres + cells) * stride_px
+            halves = sizes * stride_px / 2
             corners = torch.cat([centres - halves, centres + halves], dim=-1)
             each = torch.cat([corners, raw[..., 4:]], dim=-1)
             found.append(each.flatten(1, 3))
         every = torch.cat(found, dim=1)
         return every[..., :4], every[..., 4].contiguous(), every[..., 5:]
-
-    def centred(self, raw: Tensor, level: int) -> tuple[Tensor, Tensor]:
-        """Centres relative to the cell's corner, and sizes, both in cells."""
-        centres = raw[..., :2].sigmoid() * 2 - 0.5
-        anchors = (self.anchors_px[level] / self.strides_px[level])[:, None, None]
-        return centres, (raw[..., 2:4].sigmoid() * 2) ** 2 * anchors
 
 
 class AnchorDetector(TrainableDetector):

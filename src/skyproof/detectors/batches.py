@@ -118,17 +118,13 @@ def turn(
 ) -> tuple[Float[Tensor, "3 H2 W2"], Float[Tensor, "n 4"]]:
     """Mirrors left to right, then turns counter-clockwise by quarters; boxes follow exactly."""
     if mirror:
+        left, top, right, bottom = boxes.unbind(1)
+        boxes = torch.stack([image.shape[2] - right, top, image.shape[2] - left, bottom], dim=1)
         image = image.flip(2)
-        width = image.shape[2]
-        boxes = torch.stack(
-            [width - boxes[:, 2], boxes[:, 1], width - boxes[:, 0], boxes[:, 3]], dim=1
-        )
     for _ in range(quarter_turns % 4):
-        width = image.shape[2]
+        left, top, right, bottom = boxes.unbind(1)
+        boxes = torch.stack([top, image.shape[2] - right, bottom, image.shape[2] - left], dim=1)
         image = image.rot90(1, (1, 2))
-        boxes = torch.stack(
-            [boxes[:, 1], width - boxes[:, 2], boxes[:, 3], width - boxes[:, 0]], dim=1
-        )
     return image, boxes
 
 

@@ -110,9 +110,8 @@ class ImportedDetector(TrainableDetector):
 
     def size_px(self, images: Tensor) -> tuple[int, int]:
         """Height and width of images at the network's resolution."""
-        return max(1, round(images.shape[-2] * self.image_scale)), max(
-            1, round(images.shape[-1] * self.image_scale)
-        )
+        height, width = (max(1, round(side * self.image_scale)) for side in images.shape[-2:])
+        return height, width
 
     def _ratio(self, images: Tensor) -> Tensor:
         """Returns the factors from the network's pixels to those of `images`, for xyxy boxes."""

@@ -40,9 +40,6 @@ BlockKey = tuple[str, int, int]
 Extent = tuple[float, float, float, float]
 """Left, bottom, right, top in a grid's metres."""
 
-_Layout = tuple[str, CRS | None, dict[int, Extent], dict[int, Corners]]
-"""Name, system, extents and, in a plane of photographs, corners of a grid."""
-
 
 @dataclass(frozen=True)
 class Cell:
@@ -180,17 +177,17 @@ def lay_grids(sources: Sequence[Source], settings: TilingSettings, notes: list[s
     Cells shrink until there is one for each split, but not below `turning_px`. If sources hold no
     such cell, or all together too few, cells shrink further, to the size that uses the most ground.
     """
-    layouts = [_layout(sources, group) for group in _groups(sources)]
+    unlaid = [_unlaid(sources, group, settings) for group in _groups(sources)]
     alone = sum(source.georeference.crs is None for source in sources)
     if alone > 1:
-        places = sum(crs is None for _, crs, *_ in layouts)
+        places = sum(grid.crs is None for grid in unlaid)
         notes.append(
             f"{alone} images without georeference show at most {counted(places, 'distinct place')}"
         )
     size, gsd_m = settings.size_px, settings.gsd_m
     wanted = len(settings.split_shares)
     while True:
-        grids = [_grid(layout, size, settings.turning_px, gsd_m) for layout in layouts]
+        grids = [_laid(grid, size, settings.turning_px) for grid in unlaid]
         few = sum(grid.whole_cells() for grid in grids) < wanted
         if size <= settings.turning_px or not few:
             break
@@ -198,8 +195,8 @@ def lay_grids(sources: Sequence[Source], settings: TilingSettings, notes: list[s
     least_px = settings.minimum_px or size
     if least_px < settings.turning_px:
         grids = [
-            _shrunk(grid, layout, least_px, few=few) if few or not grid.whole_cells() else grid
-            for grid, layout in zip(grids, layouts, strict=True)
+            _shrunk(grid, least_px, few=few) if few or not grid.whole_cells() else grid
+            for grid in grids
         ]
     kept = [grid for grid in grids if grid.whole_cells()]
     if not kept:
@@ -239,14 +236,14 @@ def _tight_notes(
         )
 
 
-def _grid(layout: _Layout, size_px: int, minimum_px: int, gsd_m: float) -> Grid:
-    name, crs, extents, corners = layout
-    left, bottom, right, top = around(extents.values())
+def _laid(grid: Grid, size_px: int, minimum_px: int) -> Grid:
+    """Lays a grid with cells of this size, or of the next smaller one that gives whole cells."""
+    left, bottom, right, top = around(grid.extents.values())
     while True:
-        narrow = min(right - left, top - bottom) < GLOBAL_FROM_TILES * size_px * gsd_m
-        corner = (left, top) if crs is None or narrow else (0.0, 0.0)
-        grid = Grid(name, crs, *corner, size_px, gsd_m, extents, corners)
-        if corners:
+        narrow = min(right - left, top - bottom) < GLOBAL_FROM_TILES * size_px * grid.gsd_m
+        left_m, top_m = (left, top) if grid.crs is None or narrow else (0.0, 0.0)
+        grid = replace(grid, left_m=left_m, top_m=top_m, size_px=size_px)
+        if grid.corners:
             grid = max(_from_corners(grid), key=Grid.whole_cells)
         if size_px <= minimum_px or grid.whole_cells():
             return grid
@@ -266,7 +263,7 @@ def _from_corners(grid: Grid) -> Iterator[Grid]:
         yield replace(grid, left_m=corner[0], top_m=corner[1])
 
 
-def _shrunk(grid: Grid, layout: _Layout, least_px: int, *, few: bool) -> Grid:
+def _shrunk(grid: Grid, least_px: int, *, few: bool) -> Grid:
     """Shrinks cells to the largest size that uses nearly as much ground as any size does.
 
     With `few` the number of cells counts instead. No cell is smaller than `least_px`.
@@ -283,26 +280,27 @@ def _shrunk(grid: Grid, layout: _Layout, least_px: int, *, few: bool) -> Grid:
         for number in range(1, int((side_px + 0.5) / least_px) + 1)
     }
     smaller = [size for size in sorted(sizes) if least_px <= size < grid.size_px]
-    grids = [*(_grid(layout, size, size, grid.gsd_m) for size in smaller), grid]
+    grids = [*(_laid(grid, size, size) for size in smaller), grid]
     worth = [each.whole_cells() * (1.0 if few else each.side_m**2) for each in grids]
     return [each for each, it in zip(grids, worth, strict=True) if it >= NEARLY * max(worth)][-1]
 
 
-def _layout(sources: Sequence[Source], group: Sequence[int]) -> _Layout:
-    """Returns name, system and extents of the grid of sources that touch."""
+def _unlaid(sources: Sequence[Source], group: Sequence[int], settings: TilingSettings) -> Grid:
+    """Returns the grid of sources that touch, before its corner and size are chosen."""
     first = sources[group[0]]
-    crs = first.georeference.crs
+    crs, unlaid = first.georeference.crs, (0.0, 0.0, settings.size_px, settings.gsd_m)
     if crs is None:
         extents = {i: extent_of(sources[i], None) for i in group}
         shared = {i: corners_of(sources[i]) for i in group} if len(group) > 1 else {}
-        return first.path.stem, None, extents, shared
+        return Grid(first.path.stem, None, *unlaid, extents, shared)
     middle = first.georeference.transform * (first.width_px / 2, first.height_px / 2)
     code = crs.to_epsg() if is_true_to_scale(crs, middle) else None
     if code is None:
         longitude, latitude = to_reference_system(crs, DEGREES, [middle])[0]
         code = (32600 if latitude >= 0 else 32700) + min(60, int((longitude + 180) // 6) + 1)
     system = CRS.from_epsg(code)
-    return f"epsg{code}", system, {i: extent_of(sources[i], system) for i in group}, {}
+    extents = {i: extent_of(sources[i], system) for i in group}
+    return Grid(f"epsg{code}", system, *unlaid, extents)
 
 
 def _groups(sources: Sequence[Source]) -> list[list[int]]:

@@ -227,11 +227,7 @@ def _kept(tiles: Tiles) -> Tiles:
 def fewest_tiles(reject: float, consumer_risk: float) -> int:
     """Returns the fewest tiles of usual scenes that accept a detector which loses nothing."""
     one = _below(Tiles(np.ones(1), np.full(1, USUAL_IN_SCENE), np.zeros(1)), reject)
-
-    def suffice(tiles: int) -> bool:
-        return bool(_mean(tiles * one) >= 1 / consumer_risk)
-
-    return fewest(suffice, 1)
+    return fewest(lambda tiles: bool(_mean(tiles * one) >= 1 / consumer_risk), 1)
 
 
 def fewest(enough: Callable[[int], bool], start: int, precision: int | None = None) -> int:
