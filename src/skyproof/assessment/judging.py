@@ -48,8 +48,7 @@ def enough_ground(its: Subject, requirement: Requirement) -> Step:
 
     # Another requirement may be asked of a run that has ended.
     words = "count the test tiles"
-    inputs = (scenes,)
-    return Step("size", "size", (out,), work, requirement, inputs, renewed=True, words=words)
+    return Step("size", "size", (out,), work, requirement, (scenes,), renewed=True, words=words)
 
 
 def precheck(its: Subject) -> Step:

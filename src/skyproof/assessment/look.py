@@ -193,8 +193,7 @@ def _ground_m2(sources: Sequence[Source]) -> float:
 
 def _labels(labels: Labels, settings: LabelSettings, grids: Sequence[Grid], its: Subject) -> str:
     """States the number and length of labelled vehicles, and refuses impossible lengths."""
-    classes = vehicle_classes(labels, settings)
-    lengths_m, count = _lengths_m(labels, classes, its.inspected, grids)
+    lengths_m, count = _lengths_m(labels, vehicle_classes(labels, settings), its.inspected, grids)
     number = counted(count, "labelled vehicle")
     if len(lengths_m) < _FEW:
         return number

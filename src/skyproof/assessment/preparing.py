@@ -72,8 +72,7 @@ def prepare(its: Subject) -> Iterator[Step]:
 
 def tiling_of(its: Subject) -> TilingSettings:
     """Returns the tiling of imagery; nothing is trained, so the train split gets no tiles."""
-    tiling = tiling_for_images(its.image_px, gsd_m=its.gsd_m, imagery=True)
-    return replace(tiling, shares=_SHARES)
+    return replace(tiling_for_images(its.image_px, gsd_m=its.gsd_m, imagery=True), shares=_SHARES)
 
 
 def tiles(its: Subject) -> Step:
@@ -114,8 +113,7 @@ def detector(its: Subject, number: int) -> Iterator[Step]:
     else:
         # Without labels, rendered vehicles freeze a missing threshold.
         world = Layout(its.layout.folder / "threshold")
-        counts = (1, its.suite.tiles[1], 1, 1)
-        yield drawn_ground(its, world, counts, "threshold-ground")
+        yield drawn_ground(its, world, (1, its.suite.tiles[1], 1, 1), "threshold-ground")
         yield fleets(its, world, "threshold-fleets")
         yield scenes(its, world, "validation", "threshold-validation")
         yield rendered(its, world, "validation", "threshold-validation")

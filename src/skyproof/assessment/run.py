@@ -296,8 +296,7 @@ class Run:
 
     def _add_time(self, step: Step, seconds: float) -> None:
         rows = {(row.stage, row.name): row for row in read_timings(self._layout.timings)}
-        new = Timing(stage=step.kind, name=step.name, seconds=0.0)
-        row = rows.get((step.kind, step.name), new)
+        row = rows.get((step.kind, step.name), Timing(stage=step.kind, name=step.name, seconds=0.0))
         rows[row.stage, row.name] = replace(row, seconds=round(row.seconds + seconds, 2))
         known = [
             {name: value for name, value in asdict(row).items() if value is not None}

@@ -56,8 +56,7 @@ class AnchorHead(nn.Module):
         self.register_buffer("anchors_px", anchors, persistent=False)
         count = anchors.shape[1]
         # The checkpoints of 2020 use this name.
-        convolutions = [nn.Conv2d(width, count * self.numbers, 1) for width in channels]
-        self.m = nn.ModuleList(convolutions)
+        self.m = nn.ModuleList([nn.Conv2d(width, count * self.numbers, 1) for width in channels])
 
     def forward(self, features: list[Float[Tensor, "B _ _ _"]]) -> AnchorAnswers:
         levels = []
@@ -83,8 +82,7 @@ class AnchorHead(nn.Module):
             centres = (centres + cells) * stride_px
             halves = sizes * stride_px / 2
             corners = torch.cat([centres - halves, centres + halves], dim=-1)
-            each = torch.cat([corners, raw[..., 4:]], dim=-1)
-            found.append(each.flatten(1, 3))
+            found.append(torch.cat([corners, raw[..., 4:]], dim=-1).flatten(1, 3))
         every = torch.cat(found, dim=1)
         return every[..., :4], every[..., 4].contiguous(), every[..., 5:]
 

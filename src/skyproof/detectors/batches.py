@@ -83,8 +83,7 @@ def window(
     edge = torch.tensor([left == 0, top == 0, left + wide == width, top + high == height])
     inside = torch.cat([moved[:, :2] >= 0, moved[:, 2:] <= limits[2:]], dim=1) | edge
     whole = inside.all(dim=1)
-    cut = moved[~whole]
-    hidden = torch.cat([hidden, cut])
+    hidden = torch.cat([hidden, moved[~whole]])
     seen = ((hidden[:, :2] < limits[:2]) & (hidden[:, 2:] > 0)).all(dim=1)
     hidden = torch.minimum(hidden[seen].clamp(min=0), limits)
     return image[:, top : top + high, left : left + wide], moved[whole], hidden

@@ -13,6 +13,7 @@ from torch.nn import functional
 from torchvision.models import detection
 from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
 from torchvision.ops.feature_pyramid_network import LastLevelP6P7
+from torchvision.transforms.functional import normalize
 
 from skyproof.detectors.anchor_detector import AnchorDetector
 from skyproof.detectors.blueprint import ARCHITECTURES, QUERIES, Blueprint
@@ -241,10 +242,7 @@ class _Imported(TorchvisionDetector):
         self.vehicle_classes, self.normalised = vehicle_classes, normalised
 
     def _normalise(self, images: Tensor) -> Tensor:
-        if not self.normalised:
-            return images
-        mean, deviation = (images.new_tensor(each).view(3, 1, 1) for each in (MEAN, DEVIATION))
-        return (images - mean) / deviation
+        return normalize(images, MEAN, DEVIATION) if self.normalised else images
 
     def _outputs(self, images: Tensor) -> tuple[dict[str, Tensor], Tensor]:
         outputs, anchors = super()._outputs(images)

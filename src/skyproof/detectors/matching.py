@@ -105,8 +105,7 @@ def match_images(
         matched = matches.detection_of_truth >= 0
         partners = matches.detection_of_truth[matched]
         rows[matched.numpy(), 2] = image_scores[partners].double().numpy()
-        offset_px = centres_of(boxes[partners] - shown[matched])
-        distance_px = torch.linalg.vector_norm(offset_px, dim=1)
+        distance_px = torch.linalg.vector_norm(centres_of(boxes[partners] - shown[matched]), dim=1)
         rows[matched.numpy(), 3] = distance_px.double().numpy() * gsd_m
         vehicles.append(rows)
     order = np.argsort(-np.concatenate(scores).astype(np.float64), kind="stable")

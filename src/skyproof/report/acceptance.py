@@ -129,8 +129,7 @@ def _ruled(name: str, results: Results, requirement: Requirement) -> Ruling:
     rendered = worst([finding for baseline, finding in of_sets if not baseline.real])
     if rendered in failed:
         return _no_verdict(name, f"it failed the precheck: {rendered.words}")
-    here = not scenes or precheck.was_made_on(scenes)
-    tried = precheck.paints_tried if here else 0
+    tried = precheck.paints_tried if not scenes or precheck.was_made_on(scenes) else 0
     if attacks or tried:
         paints = paint_tiles(precheck, scenes) if tried else {}
         decision = decide(attacks, requirement, paints, paints_tried=tried)

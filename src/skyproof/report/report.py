@@ -225,8 +225,7 @@ class _Contents:
 
     def answer_beside(self, first: Result, second: Result) -> list[str]:
         """Returns the answer under the second renderer, and whether the success survives it."""
-        survives = survival(first, *changes(self._results, first, second))
-        return [*self.answer(second), survives]
+        return [*self.answer(second), survival(first, *changes(self._results, first, second))]
 
     def compared(self, first: Result, second: Result) -> Sequence[Any]:
         return compare_renderers(self._results, first, second)

@@ -163,8 +163,7 @@ class PrecheckRecord:
 
     def was_made_on(self, scenes: Sequence[Scene]) -> bool:
         """Whether these scenes begin with those of the precheck."""
-        of_these = scenes_digest(scenes[: self.measured_on.scenes])
-        return self.measured_on.scenes_sha256 == of_these
+        return self.measured_on.scenes_sha256 == scenes_digest(scenes[: self.measured_on.scenes])
 
 
 def write_precheck(folder: Path, record: PrecheckRecord) -> None:

@@ -95,8 +95,7 @@ def read_coco_labels(path: Path) -> ImageLabels:
             if len(row.bbox) != 4:
                 raise damaged(where, f"has a bbox of {len(row.bbox)} numbers, not 4")
             left, top, width, height = row.bbox
-            box = (left, top, left + width, top + height)
-            label = Label.upright(class_name, box, bool(ignore))
+            label = Label.upright(class_name, (left, top, left + width, top + height), bool(ignore))
         else:
             corners = _outline(row.segmentation, images.sizes_px.get(name), where)
             label = Label(class_name, corners, bool(ignore))

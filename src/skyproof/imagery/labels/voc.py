@@ -74,5 +74,4 @@ def _label(row: Element, where: str) -> Label:
     difficult = (row.findtext("difficult") or "0").strip().lower()
     if difficult not in ("0", "1", "false", "true"):
         raise damaged(where, f"is difficult as {difficult[:40]!r}, not 0 or 1")
-    box = (left - 1, top - 1, right, bottom)
-    return Label.upright(name, box, difficult in ("1", "true"))
+    return Label.upright(name, (left - 1, top - 1, right, bottom), difficult in ("1", "true"))

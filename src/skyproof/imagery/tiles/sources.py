@@ -362,8 +362,7 @@ def _value_range(dataset: DatasetReader, source: Source, notes: list[str]) -> tu
 
 def holds_data(values: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Returns which pixels of `[bands, H, W]` hold values of a picture rather than fill values."""
-    inside = np.logical_and(values > _BELOW_ALL, values < _ABOVE_ALL)
-    return np.logical_and.reduce(inside, axis=0)
+    return np.logical_and.reduce(np.logical_and(values > _BELOW_ALL, values < _ABOVE_ALL), axis=0)
 
 
 def read_mask(

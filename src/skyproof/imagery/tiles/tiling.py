@@ -123,8 +123,7 @@ def tile_imagery(
     sources = sources or inspect_imagery(paths, source_settings, labels and labels[0])
     with SourceReader() as reader:
         notes = notes_on(sources)
-        grids = lay_grids(sources, settings, notes)
-        every = (cell for grid in grids for cell in cells_of(grid))
+        every = (cell for grid in lay_grids(sources, settings, notes) for cell in cells_of(grid))
         cells = {cell.id: _labelled_first(cell, sources, labels and labels[0]) for cell in every}
         # An impossible time is refused before anything is cut.
         taken = source_settings.taken
