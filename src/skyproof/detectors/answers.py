@@ -135,9 +135,8 @@ class BlackBoxDetector(Detector):
                 f"The detector {self.name} did not answer ({_in_short(error)}); see that it runs, "
                 f"and {_GO_ON}."
             ) from error
-        size_px = (images.shape[-1], images.shape[-2])
         remedy = f"correct it, and {_GO_ON}"
-        sizes_px = [size_px] * len(images)
+        sizes_px = [(images.shape[-1], images.shape[-2])] * len(images)
         found = checked_answers(answers, self.name, sizes_px, remedy, self._are_meant)
         return [suppressed(each) for each in found] if self._vehicle_classes else found
 

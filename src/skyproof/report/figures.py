@@ -120,11 +120,9 @@ def loss_figure(title: str, curves: Mapping[str, Sequence[tuple[float, float]]])
     """Draws (step, loss) pairs, and on top of them a mean over a fiftieth of the steps."""
     with plt.rc_context(STYLE | {"svg.hashsalt": title}):
         figure, axes = plt.subplots(figsize=(5.6, 3.2), layout="constrained")
-        positive = True
         for index, (name, points) in enumerate(curves.items()):
             colour, line = _CYCLE[index % len(_CYCLE)]
             steps, losses = np.array(points, dtype=float).T
-            positive &= bool((losses > 0).all())
             window = max(1, len(losses) // 50)
             smooth = np.convolve(losses, np.full(window, 1 / window), mode="valid")
             # At most 600 points: more cannot be seen, and would only make the page heavy.
@@ -138,7 +136,7 @@ def loss_figure(title: str, curves: Mapping[str, Sequence[tuple[float, float]]])
                 linewidth=1.8,
                 label=detector_name(name),
             )
-        if positive:
+        if all(loss > 0 for points in curves.values() for _, loss in points):
             axes.set_yscale("log")
             # The default formatter writes formulas, which are not parsed.
             axes.yaxis.set_major_formatter("{x:g}")

@@ -59,11 +59,9 @@ class DecisionChances:
 
 def tiles_needed(half_width: float, assumptions: Assumptions) -> int | None:
     """Returns the fewest tiles for an interval of ± `half_width`; None if no number is enough."""
-
-    def enough(tiles: int) -> bool:
-        return expected_half_width(tiles, assumptions) <= half_width
-
-    return fewest(enough, 2) if enough(_MOST_TILES) else None
+    if expected_half_width(_MOST_TILES, assumptions) > half_width:
+        return None
+    return fewest(lambda tiles: expected_half_width(tiles, assumptions) <= half_width, 2)
 
 
 def tiles_to_decide(requirement: Requirement, assumptions: Assumptions) -> int:
