@@ -48,7 +48,8 @@ _ACTIVATION = re.compile(r"(torch\.)?nn\.[A-Z]\w*\((\w+=[\w.]+|[0-9.]+)?\)")
 
 # Families of transformers whose networks answer alike, and the backbones that they stand on.
 TRANSFORMERS = ("rt_detr", "rt_detr_v2", "d_fine", "detr", "conditional_detr", "deformable_detr")
-_BACKBONES = ("rt_detr_resnet", "resnet", "hgnet_v2", "timm_backbone")
+TIMM = "timm_backbone"
+_BACKBONES = ("rt_detr_resnet", "resnet", "hgnet_v2", TIMM)
 _RESNET = re.compile(r"resnet\d{2,3}d?(\.\w{1,30})?")
 
 # More than LVIS has: RetinaNet scores each class for 200,000 anchors in an image of 1024 px.
@@ -166,9 +167,10 @@ class Blueprint:
     @property
     def trainable(self) -> bool:
         """Whether skyproof can train the network; not with oriented boxes or anchors."""
-        plan = self.architecture
-        rows = plan if isinstance(plan, dict) and self.kind == "ultralytics" else None
-        return rows is None or not ("anchors" in rows or rows["head"][-1][2] in TURNED)
+        plan: Any = self.architecture
+        if self.kind != "ultralytics":
+            return True
+        return not ("anchors" in plan or plan["head"][-1][2] in TURNED)
 
 
 def check_layers(architecture: Any) -> None:
@@ -225,7 +227,7 @@ def check_configuration(architecture: Any) -> None:
         )
     # timm would load other names from its hub.
     name = read.backbone.get("backbone")
-    if backbone == "timm_backbone" and not (isinstance(name, str) and _RESNET.fullmatch(name)):
+    if backbone == TIMM and not (isinstance(name, str) and _RESNET.fullmatch(name)):
         raise ConfigurationError(
             f"the network's backbone is {str(name)[:100]!r} of timm, expected a ResNet; export it "
             "to ONNX, which skyproof assess tests as a black box."

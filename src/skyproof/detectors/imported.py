@@ -158,8 +158,7 @@ def _network(
     blueprint: Blueprint, side_px: int
 ) -> TorchvisionDetector | YoloNetwork | AnchorDetector | QueryDetector:
     if blueprint.kind == "transformers":
-        plan: Any = blueprint.architecture
-        return TransformersNetwork(plan, blueprint.vehicle_classes, len(blueprint.classes), side_px)
+        return TransformersNetwork(blueprint, side_px)
     if isinstance(blueprint.architecture, dict):
         # The checkpoint lists class names; its architecture decides how many the head has.
         network: YoloNetwork | AnchorDetector | RtDetrNetwork

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 from torchvision.ops import box_convert, box_iou
+from torchvision.transforms.functional import normalize
 
 from skyproof.detectors.detector import (
     PADDING_GREY,
@@ -71,8 +72,7 @@ class QueryDetector(TrainableDetector):
 
     def train(self, mode: bool = True) -> "QueryDetector":
         """Keeps the network as it infers: without dropout, and without noised queries."""
-        super().train(False)
-        return self
+        return super().train(False)
 
     def candidates(self, images: Images) -> Candidates:
         """Every query's box and its score of the likeliest vehicle class."""
@@ -144,6 +144,5 @@ class QueryDetector(TrainableDetector):
         margins = (0, max(0, self.side_px - width), 0, max(0, self.side_px - height))
         padded = functional.pad(images, margins, value=PADDING_GREY)
         padded = pad_to_stride(padded, value=PADDING_GREY)
-        mean, deviation = (images.new_tensor(each).view(3, 1, 1) for each in self.colours)
         sides = images.new_tensor([padded.shape[-1], padded.shape[-2]] * 2)
-        return (padded - mean) / deviation, sides
+        return normalize(padded, *self.colours), sides

@@ -6,7 +6,6 @@ configurations declare.
 """
 
 import os
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,14 +15,11 @@ import torch
 from torch import Tensor
 from torch.overrides import TorchFunctionMode
 
-from skyproof.detectors.blueprint import check_configuration
+from skyproof.detectors.blueprint import TIMM, Blueprint
 from skyproof.detectors.cost import measured
 from skyproof.detectors.query_detector import Answers, QueryDetector
-from skyproof.detectors.transformers_folder import REMEDY, TIMM
+from skyproof.detectors.transformers_folder import REMEDY
 from skyproof.errors import ConfigurationError
-
-# What the library tells of weights that do not fit.
-_LOADING = ("missing_keys", "unexpected_keys", "mismatched_keys")
 
 
 class TransformersNetwork(QueryDetector):
@@ -31,16 +27,13 @@ class TransformersNetwork(QueryDetector):
 
     name = "transformers"
 
-    def __init__(
-        self,
-        architecture: Mapping[str, Any],
-        vehicle_classes: Sequence[int],
-        classes: int,
-        side_px: int,
-    ) -> None:
-        super().__init__(vehicle_classes, classes, side_px)
-        self.model = build_network(architecture, classes)
-        self.colours = (architecture["image_mean"], architecture["image_std"])
+    def __init__(self, blueprint: Blueprint, side_px: int) -> None:
+        plan: Any = blueprint.architecture
+        super().__init__(blueprint.vehicle_classes, len(blueprint.classes), side_px)
+        self.colours = (plan["image_mean"], plan["image_std"])
+        with _offline():
+            configuration, kind = _configured(plan, self.classes)
+            self.model = kind(configuration)
         # Some families hold a layer under two names, which one file cannot.
         self.model.register_state_dict_post_hook(_drop_second_names)
         self.model.register_load_state_dict_pre_hook(_restore_second_names)
@@ -66,12 +59,8 @@ class TransformersNetwork(QueryDetector):
 class _WholeGradient(TorchFunctionMode):
     """Lets gradients through where the library's code detaches a tensor."""
 
-    def __torch_function__(
-        self, function: Any, types: Any, args: Any = (), kwargs: Any = None
-    ) -> Any:
-        if function is Tensor.detach:
-            return args[0]
-        return function(*args, **(kwargs or {}))
+    def __torch_function__(self, function: Any, _: Any, args: Any = (), named: Any = None) -> Any:
+        return args[0] if function is Tensor.detach else function(*args, **(named or {}))
 
 
 def converted_weights(
@@ -94,7 +83,8 @@ def converted_weights(
             )
         except Exception as error:
             raise _not_built(error) from error
-    different = sorted({str(each) for name in _LOADING for each in told[name]})
+    # Missing, superfluous and mismatched tensors.
+    different = sorted({str(each) for found in told.values() for each in found})
     if different:
         raise ConfigurationError(
             f"The weights of {path} do not fit its config.json: {len(different)} tensors differ, "
@@ -103,14 +93,6 @@ def converted_weights(
     weights: dict[str, Tensor] = network.state_dict()
     _drop_second_names(network, weights, "", {})
     return weights
-
-
-def build_network(architecture: Mapping[str, Any], classes: int) -> Any:
-    """Builds a stranger's network, checked by `check_configuration`, without its weights."""
-    check_configuration(architecture)
-    with _offline():
-        configuration, kind = _configured(architecture, classes)
-        return kind(configuration)
 
 
 def _not_built(error: Exception) -> ConfigurationError:
@@ -175,10 +157,8 @@ def _restore_second_names(
 def _second_names(network: torch.nn.Module) -> dict[str, str]:
     """Maps the further names of a network's parameters and buffers to the first ones."""
     first = dict[int, str]()
-    named = (
-        *network.named_parameters(remove_duplicate=False),
-        *network.named_buffers(remove_duplicate=False),
-    )
+    parameters = network.named_parameters(remove_duplicate=False)
+    named = (*parameters, *network.named_buffers(remove_duplicate=False))
     return {
         name: first[id(tensor)]
         for name, tensor in named
@@ -193,23 +173,19 @@ def _offline() -> Iterator[None]:
     os.environ["HF_HUB_OFFLINE"] = "1"
     try:
         from transformers.utils import logging
-
-        level = logging.get_verbosity()
-        logging.set_verbosity_error()
-        bars = logging.is_progress_bar_enabled()
-        logging.disable_progress_bar()
-        try:
-            with warnings.catch_warnings(action="ignore"):
-                yield
-        finally:
-            logging.set_verbosity(level)
-            if bars:
-                logging.enable_progress_bar()
     except ModuleNotFoundError as error:
         raise ConfigurationError(
             "a folder of Hugging Face needs transformers, which is not installed: "
             'pip install "skyproof[transformers]".'
         ) from error
+    level, bars = logging.get_verbosity(), logging.is_progress_bar_enabled()
+    logging.set_verbosity_error()
+    logging.disable_progress_bar()
+    try:
+        yield
     finally:
+        logging.set_verbosity(level)
+        if bars:
+            logging.enable_progress_bar()
         os.environ.clear()
         os.environ.update(environment)

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta
 
-from skyproof.detectors.blueprint import check_configuration
+from skyproof.detectors.blueprint import TIMM, check_configuration
 from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError, StoredFileError
 
@@ -15,9 +15,6 @@ FOLDER_FILES = ("config.json", "preprocessor_config.json")
 """The files beside the weights that say what the network is and sees."""
 
 REMEDY = "give the folder as save_pretrained of the model and of its image processor writes it"
-
-TIMM = "timm_backbone"
-"""The family of a backbone that the library takes from timm."""
 
 
 class _ConfigurationFile(msgspec.Struct):

@@ -196,8 +196,7 @@ class RtDetrNetwork(QueryDetector):
 
     def cost(self, seen: Tensor, classes: Tensor, boxes: Tensor) -> Tensor:
         """See `QueryDetector.cost`."""
-        zeros = torch.zeros_like(classes)
-        truth = {"img": seen, "batch_idx": zeros, "cls": classes, "bboxes": boxes}
+        truth = {"img": seen, "batch_idx": 0 * classes, "cls": classes, "bboxes": boxes}
         loss: Tensor = self.model.loss(truth, self.model(seen))[0]
         return loss.sum()
 
