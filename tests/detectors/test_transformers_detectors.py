@@ -247,7 +247,7 @@ def test_bad_folders_are_one_sentence(
     assert sentence.count(". ") == 0
 
 
-def test_fields_that_name_code_or_files_are_left_out(tmp_path: Path) -> None:
+def test_fields_that_name_code_are_left_out(tmp_path: Path) -> None:
     write_folder(tmp_path, "rt_detr")
     wanted = read(tmp_path, "car").detect(IMAGES)
     of_network(
