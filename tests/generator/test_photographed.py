@@ -77,7 +77,12 @@ def test_one_beneath_a_crown_is_left_out_however_much_it_hides(
     cover = torch.zeros(tile.height_px, tile.width_px, dtype=torch.uint8)
     row, column = int(vehicle.y_px), int(vehicle.x_px)
     cover[max(0, row - 24) : row + 24, max(0, column - 24) : column + 24] = value
-    monkeypatch.setattr(BackgroundSet, "cover", lambda *_: cover)
+    stored = BackgroundSet.map_of
+    monkeypatch.setattr(
+        BackgroundSet,
+        "map_of",
+        lambda own, tile_id, kind: cover if kind == "cover" else stored(own, tile_id, kind),
+    )
     vehicles, left_out = photographed_vehicles(photographs.tiles, photographs.cleared)
     assert len(vehicles) == kept
     assert left_out == ({} if kept == 9 else {"crowns or roofs cover it": 1})
