@@ -18,9 +18,10 @@ from tests.transformers_folders import CLASSES, FAMILIES, SIDE_PX, needs_transfo
 from torchvision.ops import box_convert, clip_boxes_to_image
 
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.card import read_card
+from skyproof.detectors.card import detector_folder, read_card
 from skyproof.detectors.import_checkpoint import Checkpoint, import_detector, kind_of, read_network
 from skyproof.detectors.imported import ImportedDetector
+from skyproof.detectors.inference import detect_all
 from skyproof.detectors.loaded import load_detector
 from skyproof.errors import ConfigurationError, SkyproofError
 
@@ -210,6 +211,67 @@ def without_a_tensor(folder: Path) -> None:
     save_file(state, folder / "model.safetensors")
 
 
+def test_a_backbone_from_a_hub_is_refused(tmp_path: Path) -> None:
+    write_folder(tmp_path, "detr")
+    of_network(backbone_config=None, backbone="hf_hub:someone/something")(tmp_path)
+    with pytest.raises(ConfigurationError, match="'hf_hub:someone/something' of timm, expected"):
+        read(tmp_path, "car")
+
+
+def test_a_network_that_computes_without_bound_is_refused(tmp_path: Path) -> None:
+    write_folder(tmp_path, "d_fine")
+    backbone = json.loads((tmp_path / "config.json").read_text())["backbone_config"]
+    of_network(backbone_config={**backbone, "stem_strides": [1] * 5})(tmp_path)
+    with pytest.raises(ConfigurationError, match="finer than every 4 px"):
+        read(tmp_path, "car")
+
+
+def test_the_programs_own_hub_is_as_before(tmp_path: Path) -> None:
+    from huggingface_hub import constants
+
+    write_folder(tmp_path, "detr")
+    before = constants.HF_HUB_OFFLINE
+    read(tmp_path, "car")
+    assert before == constants.HF_HUB_OFFLINE
+
+
+def test_larger_images_than_in_training_are_shown_in_windows(tmp_path: Path) -> None:
+    write_folder(tmp_path, "rt_detr")
+    detector = read(tmp_path, "car")
+    sides: list[torch.Size] = []
+    detect = detector.detect
+    detector.detect = lambda images: (sides.append(images.shape[-2:]), detect(images))[1]  # type: ignore[method-assign,func-returns-value]
+    large = torch.rand(2, 3, 200, 300, generator=torch.Generator().manual_seed(0))
+    pictures = [*(large * 255).to(torch.uint8)]
+    detect_all(detector, Dataset.of_images(pictures, [torch.zeros(0, 4)] * 2, gsd_m=0.125))
+    assert len(sides) == 2
+    assert all(max(side) <= detector.window_px == 192 for side in sides)
+
+
+def test_classes_of_one_name_are_all_taken(tmp_path: Path) -> None:
+    write_folder(tmp_path, "rt_detr")
+    of_network(id2label={"0": "car", "1": "van", "2": "car"})(tmp_path)
+    assert read(tmp_path, "car", "car").network.vehicle_classes == [0, 2]
+
+
+def test_weights_of_torch_save_are_taken(tmp_path: Path) -> None:
+    write_folder(tmp_path, "rt_detr")
+    wanted = read(tmp_path, "car").detect(IMAGES)
+    state = load_file(tmp_path / "model.safetensors")
+    torch.save(
+        {name: each for name, each in state.items() if not name.endswith("num_batches_tracked")},
+        tmp_path / "pytorch_model.bin",
+    )
+    (tmp_path / "model.safetensors").unlink()
+    path = detector_folder(tmp_path)
+    assert path.name == "pytorch_model.bin"
+    assert kind_of(path, None) == "transformers"
+    detector, _, origin = read_network(Checkpoint(path, "transformers", ("car",)), 1.0, "mine")
+    assert origin == f"transformers checkpoint {tmp_path.name}"
+    found = detector.eval().detect(IMAGES)
+    assert torch.equal(found[0].scores, wanted[0].scores)
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -222,10 +284,12 @@ def without_a_tensor(folder: Path) -> None:
         (of_network(decoder_layers=60_000), "would take more than"),
         (of_network(activation_function="sigh"), "cannot build the network"),
         (of_network(backbone_config={"model_type": "dinov2"}), "is a rt_detr on a dinov2"),
-        (
-            of_network(backbone_config=None, backbone="hf_hub:someone/something"),
-            "'hf_hub:someone/something' of timm, expected a ResNet",
-        ),
+        # These would ask the hub for a backbone of timm.
+        (of_network(backbone_config=None), "is a rt_detr on a timm_backbone"),
+        (of_network(backbone_config=None, backbone="resnet18"), "on a timm_backbone"),
+        (of_network(num_queries=60_000), "cannot build the network (selected index k"),
+        (of_network(encoder_attention_heads=5), "check its config.json"),
+        (of_network(initializer_range=-1.0), "cannot build the network"),
         (lambda folder: (folder / "preprocessor_config.json").unlink(), "config.json is missing"),
         (of_processor(image_processor_type="YolosImageProcessor"), "'YolosImageProcessor'"),
         (of_processor(size={"height": 128, "width": 256}), "a square or a shortest edge"),

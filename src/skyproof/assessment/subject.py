@@ -274,5 +274,5 @@ def _files(path: Path) -> list[Path]:
         return label_files(path)
     if path.suffix.lower() == ".shp":
         return [side for suffix in _SIDES if (side := path.with_suffix(suffix)).is_file()]
-    beside = [path.with_name(name) for name in FOLDER_FILES if path.suffix == ".safetensors"]
+    beside = [path.with_name(name) for name in FOLDER_FILES]
     return [path, *(file for file in beside if file.is_file())]

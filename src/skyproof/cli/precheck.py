@@ -83,7 +83,7 @@ class Precheck:
         from skyproof.vehicles.fleet import Fleet
 
         for folder in self.detectors:
-            if detector_folder(folder) != folder:
+            if detector_folder(folder).parent not in (folder, folder.parent):
                 what = f"{folder} comes with skyproof, and a precheck is stored beside its detector"
                 raise ConfigurationError(f"{what}; give a detector folder of yours.")
         device = choose_device(self.device)

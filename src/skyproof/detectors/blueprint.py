@@ -219,7 +219,9 @@ def check_configuration(architecture: Any) -> None:
             f"({in_words(str(error)).removeprefix(', ')[:200]}); give the folder of a detector."
         ) from error
     family, backbone = (part.get("model_type") for part in (read.network, read.backbone))
-    if family not in TRANSFORMERS or backbone not in _BACKBONES:
+    # RT-DETR and D-FINE would ask the hub for backbones of timm.
+    unknown = backbone not in _BACKBONES or (backbone == TIMM and family in TRANSFORMERS[:3])
+    if family not in TRANSFORMERS or unknown:
         raise ConfigurationError(
             f"the network is a {family} on a {backbone}, expected one of {', '.join(TRANSFORMERS)} "
             f"on one of {', '.join(_BACKBONES)}; export it to ONNX, which skyproof assess tests as "

@@ -173,9 +173,9 @@ def detector_folder(place: str | Path) -> Path:
     folder = Path(place)
     if str(place) in SHIPPED_DETECTORS and not folder.exists():
         return REFERENCE_FOLDER / folder.name
-    weights = folder / "model.safetensors"
-    foreign = weights.is_file() and not (folder / "detector.json").exists()
-    return weights if foreign else folder
+    weights = [folder / name for name in ("model.safetensors", "pytorch_model.bin")]
+    foreign = [] if (folder / "detector.json").exists() else filter(Path.is_file, weights)
+    return next(iter(foreign), folder)
 
 
 @contextmanager

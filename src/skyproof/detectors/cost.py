@@ -40,14 +40,14 @@ def measured() -> Iterator[None]:
 
     hook = nn.modules.module.register_module_module_registration_hook(count_part)
     try:
-        with torch.device("meta"), torch.no_grad(), _Meter():
+        with torch.device("meta"), torch.no_grad(), Meter():
             yield
     finally:
         hook.remove()
 
 
-class _Meter(TorchDispatchMode):
-    """Counts numbers and operations, and stops beyond the limits."""
+class Meter(TorchDispatchMode):
+    """Counts numbers and operations, and stops beyond the limits; a number is there before."""
 
     def __init__(self) -> None:
         super().__init__()

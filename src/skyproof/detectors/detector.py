@@ -56,11 +56,13 @@ class Detector:
         name: name in tables and file names.
         card: frozen threshold, resolution and origin; not set before a threshold is frozen.
         window_px: side of the windows into which a large image is split.
+        in_windows_alone: whether any image beyond such a window is large.
     """
 
     name: str
     card: DetectorCard
     window_px: int = WINDOW_PX
+    in_windows_alone: bool = False
 
     def detect(self, images: Images) -> list[Detections]:
         """Finds vehicles in sRGB images in [0, 1]: all with score >= 0.01, after suppression."""
@@ -119,7 +121,6 @@ class TrainableDetector(nn.Module, Detector):
 
     @torch.no_grad()
     def detect(self, images: Images) -> list[Detections]:
-        """See `Detector.detect`."""
         height_px, width_px = images.shape[-2:]
         return _suppress(self.candidates(images), height_px, width_px, self.suppression_iou)
 

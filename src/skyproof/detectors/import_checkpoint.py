@@ -1,5 +1,6 @@
 """Turns a checkpoint into a detector folder: weights, vehicle classes, frozen threshold."""
 
+import itertools
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -148,11 +149,8 @@ def read_blueprint(
 
     `scale` is the number of network pixels per image pixel.
     """
-    readers = {
-        "torchvision": _torchvision,
-        "ultralytics": read_ultralytics,
-        "transformers": _transformers,
-    }
+    readers = {"torchvision": _torchvision, "ultralytics": read_ultralytics}
+    readers["transformers"] = _transformers
     read = readers.get(checkpoint.kind)
     if read is None:
         raise ConfigurationError(
@@ -183,9 +181,10 @@ def read_blueprint(
     known = type(side_px) is int and 32 <= side_px <= 4096
     # torchgeo stopped normalising in its release 0.8, and checkpoints do not note the release.
     of_torchgeo = {"backbone", "freeze_backbone"} <= _noted(content, "hyper_parameters").keys()
-    rest = (checkpoint.path.name, digest, side_px if known else None, None if of_torchgeo else True)
+    named = checkpoint.path.parent if checkpoint.kind == "transformers" else checkpoint.path
+    rest = (named.name, digest, side_px if known else None, None if of_torchgeo else True)
     plan = Blueprint(checkpoint.kind, architecture, classes, vehicles, scale, eps, *rest)
-    origin = f"{checkpoint.kind} checkpoint {checkpoint.path.name}"
+    origin = f"{checkpoint.kind} checkpoint {named.name}"
     taken, *others = [repr(place[:100]) for place in places] or [""]
     if others:
         origin += f", the weights at {taken}, not those at {listed(others[:3])}"
@@ -244,7 +243,7 @@ def _transformers(
     checkpoint: Checkpoint, network: Any, state: dict[str, Tensor], digest: str
 ) -> _Plan:
     architecture, classes, side_px = read_folder(checkpoint.path)
-    vehicles = _positions(checkpoint, classes)
+    vehicles = _positions(checkpoint.vehicle_classes, classes)
     weights = converted_weights(architecture, len(classes), state, checkpoint.path)
     state.clear()
     state.update(weights)
@@ -263,12 +262,9 @@ def _load(detector: ImportedDetector, state: dict[str, Tensor], checkpoint: Chec
             if not name.endswith("num_batches_tracked")
             and (name not in wanted or name not in state or wanted[name].shape != state[name].shape)
         )
-        what = checkpoint.architecture or "the architecture it names"
-        remedy = (
-            "give the --architecture they were trained as"
-            if checkpoint.architecture
-            else "save it unfused"
-        )
+        given = checkpoint.architecture
+        what = given or "the architecture it names"
+        remedy = "give the --architecture they were trained as" if given else "save it unfused"
         raise ConfigurationError(
             f"The weights of {checkpoint.path} do not fit {what}: {len(different)} tensors differ, "
             f"such as {different[0] if different else 'none by name'}; {remedy}."
@@ -288,7 +284,7 @@ def read_ultralytics(
             "tests as a black box, or give sp.assess a function that finds them (examples/recipes)."
         )
     classes = _class_names(path, vars(network).get("names"))
-    vehicles = _positions(checkpoint, classes)
+    vehicles = _positions(checkpoint.vehicle_classes, classes)
     stored = vars(network).get("yaml")
     items = list(stored.items())[:100] if isinstance(stored, Mapping) else []
     plain = {name: value for name, value in items if name != "anchors"}
@@ -303,14 +299,16 @@ def read_ultralytics(
     return architecture, classes, vehicles, None, None
 
 
-def _positions(checkpoint: Checkpoint, classes: list[str]) -> list[int]:
-    missing = [name for name in checkpoint.vehicle_classes if name not in classes]
-    if missing or not checkpoint.vehicle_classes:
+def _positions(vehicles: Sequence[str], classes: list[str]) -> list[int]:
+    missing = [name for name in vehicles if name not in classes]
+    if missing or not vehicles:
         raise ConfigurationError(
             f"--vehicle-classes expects names out of {', '.join(classes)}; got "
             f"{', '.join(missing) or 'none'}."
         )
-    return [*map(classes.index, checkpoint.vehicle_classes)]
+    # Several classes may have the same name, and a name may be given twice.
+    pairs = itertools.product(vehicles, enumerate(classes))
+    return [*dict.fromkeys(index for wanted, (index, name) in pairs if name == wanted)]
 
 
 def _class_names(path: Path, names: Any) -> list[str]:

@@ -66,6 +66,7 @@ class ImportedDetector(TrainableDetector):
         with torch.random.fork_rng(devices=[]):
             self.network = _network(blueprint, side_px)
         self.suppression_iou = self.network.suppression_iou
+        self.in_windows_alone = self.network.in_windows_alone
         # The background of Faster R-CNN is its class 0.
         first = int(isinstance(self.network, FasterRcnnDetector))
         own = set(blueprint.vehicle_classes)
@@ -163,7 +164,7 @@ def _network(
         # The checkpoint lists class names; its architecture decides how many the head has.
         network: YoloNetwork | AnchorDetector | RtDetrNetwork
         if blueprint.architecture["head"][-1][2] == QUERIES:
-            network = RtDetrNetwork(blueprint.architecture, blueprint.vehicle_classes, side_px)
+            network = RtDetrNetwork(blueprint, side_px)
             known = network.classes
         elif "anchors" in blueprint.architecture:
             known = int(blueprint.architecture.get("nc", 0))

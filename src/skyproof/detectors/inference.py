@@ -36,10 +36,11 @@ def detect_all(detector: Detector, dataset: Dataset) -> list[Detections]:
 def detect_by_each(detectors: Sequence[Detector], dataset: Dataset) -> list[list[Detections]]:
     """Returns each detector's detections in every image, in image pixels, by falling score.
 
-    Images are decoded batch by batch, once for all detectors. An image of more than 1024 px a side
-    is split into windows no larger than the detector's, which overlap by a quarter; the window
-    whose core holds a detection's centre keeps it, and duplicates at the seams are suppressed. So
-    neither memory nor a largest number of detections limits the result on a large image.
+    Images are decoded batch by batch, once for all detectors. An image of more than 1024 px a side,
+    or beyond the window of a detector that sees windows alone, is split into windows no larger than
+    the detector's, which overlap by a quarter; the window whose core holds a detection's centre
+    keeps it, and duplicates at the seams are suppressed. So neither memory nor a largest number of
+    detections limits the result on a large image.
     """
     sizes = dataset.sizes_px
     results: list[list[Detections]] = [[] for _ in detectors]
@@ -52,10 +53,11 @@ def detect_by_each(detectors: Sequence[Detector], dataset: Dataset) -> list[list
     for batch, images in zip(batches, made_ahead(decode, batches), strict=True):
         shown = torch.stack(images) if images else None
         for found, detector in zip(results, detectors, strict=True):
-            if shown is not None:
+            beyond = detector.in_windows_alone and max(sizes[batch[0]]) > detector.window_px
+            if shown is not None and not beyond:
                 found += detect_batch(detector, shown)
             else:
-                found.append(detect_in_windows(detector, dataset.pictures[batch[0]]))
+                found += [detect_in_windows(detector, dataset.pictures[each]) for each in batch]
     return results
 
 

@@ -41,12 +41,13 @@ class QueryDetector(TrainableDetector):
     """A DETR, RT-DETR or relative: each query answers with one box and a score of each class.
 
     Boxes are shares of the image's sides, so smaller images are padded to `side_px`, the side in
-    training. Answers are not suppressed. Dropout stays off, in training as well.
+    training, and larger ones are split. Answers are not suppressed. Dropout stays off, always.
     """
 
     model: Any
     size = "brought"
     suppression_iou = 1.0
+    in_windows_alone = True
     focal_exponent = 2.0
     """Exponent of a score in the library's loss of a query without a vehicle."""
     colours: tuple[Sequence[float], Sequence[float]] = ((0.0,) * 3, (1.0,) * 3)

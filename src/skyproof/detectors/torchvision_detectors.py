@@ -115,7 +115,6 @@ class TorchvisionDetector(TrainableDetector):
 
     @torch.no_grad()
     def pyramid(self, images: Images) -> tuple[list[Tensor], int]:
-        """See `TrainableDetector.pyramid`."""
         named, image_list = self._features(images)
         return list(named.values()), image_list.tensors.shape[-1]
 

@@ -5,7 +5,6 @@ without a connection: only the families that `blueprint` lists, and only from th
 configurations declare.
 """
 
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,7 +15,7 @@ from torch import Tensor
 from torch.overrides import TorchFunctionMode
 
 from skyproof.detectors.blueprint import TIMM, Blueprint
-from skyproof.detectors.cost import measured
+from skyproof.detectors.cost import SIDE_PX, Meter, measured
 from skyproof.detectors.query_detector import Answers, QueryDetector
 from skyproof.detectors.transformers_folder import REMEDY
 from skyproof.errors import ConfigurationError
@@ -33,25 +32,28 @@ class TransformersNetwork(QueryDetector):
         self.colours = (plan["image_mean"], plan["image_std"])
         with _offline():
             configuration, kind = _configured(plan, self.classes)
-            self.model = kind(configuration)
+            self.model = kind(configuration).eval()
+            # Not all families can be measured without memory for their numbers.
+            blank = torch.zeros(1, 3, SIDE_PX, SIDE_PX)
+            with torch.no_grad(), Meter():
+                if self.features(blank)[0].shape[-1] > SIDE_PX // 4:
+                    raise ConfigurationError("no detector needs features finer than every 4 px.")
+                self.model(pixel_values=blank)
         # Some families hold a layer under two names, which one file cannot.
         self.model.register_state_dict_post_hook(_drop_second_names)
         self.model.register_load_state_dict_pre_hook(_restore_second_names)
 
     def answers(self, seen: Tensor) -> Answers:
-        """See `QueryDetector.answers`."""
         with _WholeGradient():
             found = self.model(pixel_values=seen)
         return Answers(found.logits, found.pred_boxes)
 
     def cost(self, seen: Tensor, classes: Tensor, boxes: Tensor) -> Tensor:
-        """See `QueryDetector.cost`."""
         truth = {"class_labels": classes, "boxes": boxes}
         loss: Tensor = self.model(pixel_values=seen, labels=[truth]).loss
         return loss
 
     def features(self, seen: Tensor) -> list[Tensor]:
-        """See `QueryDetector.features`."""
         whole = seen.new_ones(seen[:, 0].shape)
         return [features for features, _ in self.model.model.backbone(seen, whole)]
 
@@ -73,18 +75,18 @@ def converted_weights(
     """
     with _offline(), torch.random.fork_rng(devices=[]):
         configuration, kind = _configured(architecture, classes)
-        try:
-            network, told = kind.from_pretrained(
-                None,
-                config=configuration,
-                state_dict=dict(state),
-                output_loading_info=True,
-                ignore_mismatched_sizes=True,
-            )
-        except Exception as error:
-            raise _not_built(error) from error
-    # Missing, superfluous and mismatched tensors.
-    different = sorted({str(each) for found in told.values() for each in found})
+        network, told = kind.from_pretrained(
+            None,
+            config=configuration,
+            state_dict=dict(state),
+            output_loading_info=True,
+            ignore_mismatched_sizes=True,
+        )
+    # Missing, superfluous and mismatched tensors, the latter with their shapes.
+    named = (
+        each if isinstance(each, str) else each[0] for found in told.values() for each in found
+    )
+    different = sorted({name for name in named if not name.endswith("num_batches_tracked")})
     if different:
         raise ConfigurationError(
             f"The weights of {path} do not fit its config.json: {len(different)} tensors differ, "
@@ -93,14 +95,6 @@ def converted_weights(
     weights: dict[str, Tensor] = network.state_dict()
     _drop_second_names(network, weights, "", {})
     return weights
-
-
-def _not_built(error: Exception) -> ConfigurationError:
-    # A row of numbers can raise any exception in another library.
-    return ConfigurationError(
-        f"the installed transformers cannot build the network ({' '.join(str(error).split())[:200]}"
-        "); install the version that trained it."
-    )
 
 
 def _configured(architecture: Mapping[str, Any], classes: int) -> tuple[Any, Any]:
@@ -113,25 +107,20 @@ def _configured(architecture: Mapping[str, Any], classes: int) -> tuple[Any, Any
     from transformers.models.auto.configuration_auto import CONFIG_MAPPING
 
     network, backbone = architecture["network"], architecture["backbone"]
-    try:
-        own: Any = CONFIG_MAPPING[network["model_type"]]
-        fields = _declared(own, network)
-        if backbone["model_type"] == TIMM:
-            fields |= {"use_timm_backbone": True, "backbone": backbone["backbone"]}
-        else:
-            below: Any = CONFIG_MAPPING[backbone["model_type"]]
-            kept = _declared(below, backbone, also=("out_features", "out_indices"))
-            fields["backbone_config"] = below(**kept)
-        # Anchors follow from the images' sides, and no query is noised.
-        sizes = {name: None for name in ("eval_size", "anchor_image_size") if name in fields}
-        configuration = own(**fields | sizes, num_labels=classes)
-        kind: Any = AutoModelForObjectDetection._model_mapping[own]
-        with measured():
-            kind(configuration)
-    except ConfigurationError:
-        raise
-    except Exception as error:
-        raise _not_built(error) from error
+    own: Any = CONFIG_MAPPING[network["model_type"]]
+    fields = _declared(own, network)
+    if backbone["model_type"] == TIMM:
+        fields |= {"use_timm_backbone": True, "backbone": backbone["backbone"]}
+    else:
+        below: Any = CONFIG_MAPPING[backbone["model_type"]]
+        kept = _declared(below, backbone, also=("out_features", "out_indices"))
+        fields["backbone_config"] = below(**kept)
+    # Anchors follow from the images' sides.
+    sizes = {name: None for name in ("eval_size", "anchor_image_size") if name in fields}
+    configuration = own(**fields | sizes, num_labels=classes)
+    kind: Any = AutoModelForObjectDetection._model_mapping[own]
+    with measured():
+        kind(configuration)
     return configuration, kind
 
 
@@ -168,24 +157,33 @@ def _second_names(network: torch.nn.Module) -> dict[str, str]:
 
 @contextmanager
 def _offline() -> Iterator[None]:
-    """Imports transformers, which then neither loads files from its hub nor prints."""
-    environment = dict(os.environ)
-    os.environ["HF_HUB_OFFLINE"] = "1"
+    """Imports transformers, meanwhile offline and quiet; its errors become one sentence."""
     try:
+        from huggingface_hub import constants
         from transformers.utils import logging
     except ModuleNotFoundError as error:
         raise ConfigurationError(
             "a folder of Hugging Face needs transformers, which is not installed: "
             'pip install "skyproof[transformers]".'
         ) from error
-    level, bars = logging.get_verbosity(), logging.is_progress_bar_enabled()
+    offline, level = constants.HF_HUB_OFFLINE, logging.get_verbosity()
+    bars = logging.is_progress_bar_enabled()
+    constants.HF_HUB_OFFLINE = True
     logging.set_verbosity_error()
     logging.disable_progress_bar()
     try:
         yield
+    except ConfigurationError:
+        raise
+    except Exception as error:
+        # A row of numbers can raise any exception in another library.
+        why = " ".join(str(error).split()).partition(". ")[0][:200]
+        raise ConfigurationError(
+            f"the installed transformers cannot build the network ({why}); check its config.json, "
+            "or install the version that trained it."
+        ) from error
     finally:
+        constants.HF_HUB_OFFLINE = offline
         logging.set_verbosity(level)
         if bars:
             logging.enable_progress_bar()
-        os.environ.clear()
-        os.environ.update(environment)

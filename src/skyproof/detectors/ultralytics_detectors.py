@@ -24,7 +24,7 @@ from PIL import Image
 from torch import Tensor
 from torch.nn import functional
 
-from skyproof.detectors.blueprint import QUERIES, TURNED, check_layers
+from skyproof.detectors.blueprint import QUERIES, TURNED, Blueprint, check_layers
 from skyproof.detectors.cost import SIDE_PX, measured
 from skyproof.detectors.detector import (
     Boxes,
@@ -180,11 +180,10 @@ class RtDetrNetwork(QueryDetector):
     name = "rt_detr"
     focal_exponent = 1.5
 
-    def __init__(
-        self, architecture: Mapping[str, Any], vehicle_classes: Sequence[int], side_px: int
-    ) -> None:
+    def __init__(self, blueprint: Blueprint, side_px: int) -> None:
+        architecture: Any = blueprint.architecture
         model = build_model(architecture)
-        super().__init__(vehicle_classes, int(model.model[-1].nc), side_px)
+        super().__init__(blueprint.vehicle_classes, int(model.model[-1].nc), side_px)
         self.model = model
         # Ultralytics' trainer tells it for the loss.
         self.model.nc = self.classes
@@ -195,7 +194,6 @@ class RtDetrNetwork(QueryDetector):
         return Answers(logits[-1], boxes[-1])
 
     def cost(self, seen: Tensor, classes: Tensor, boxes: Tensor) -> Tensor:
-        """See `QueryDetector.cost`."""
         truth = {"img": seen, "batch_idx": 0 * classes, "cls": classes, "bboxes": boxes}
         loss: Tensor = self.model.loss(truth, self.model(seen))[0]
         return loss.sum()
