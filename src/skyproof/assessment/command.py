@@ -62,7 +62,7 @@ class Request:
 
     Attributes:
         detectors: detector folders, "retinanet" or "faster_rcnn", which are attacked together and
-            tested one by one, or a single checkpoint of Ultralytics or torchvision, or ONNX file.
+            tested one by one, or a checkpoint of Ultralytics, torchvision or transformers, or ONNX.
         out: run folder to write.
         imagery: orthophotos of at least 24 m on each side, or folders of them, as GeoTIFF, or JPEG
             or PNG with `--gsd`. Without any, ground is drawn, and the result says nothing about
