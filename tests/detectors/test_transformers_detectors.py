@@ -363,6 +363,8 @@ def test_the_kind_is_told_by_the_files_beside(tmp_path: Path) -> None:
     # DeepForest, too, writes a config.json beside its RetinaNet.
     assert kind_of(weights, "retinanet_resnet50_fpn") == "torchvision"
     assert kind_of(tmp_path.parent / "best.pt", None) == "ultralytics"
+    # Any program may write a config.json.
+    assert kind_of(tmp_path / "best.pt", None) == "ultralytics"
 
 
 def test_missing_extra_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

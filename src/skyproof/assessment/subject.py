@@ -27,7 +27,7 @@ from skyproof.detectors.card import (
 from skyproof.detectors.detector import Detector, TrainableDetector
 from skyproof.detectors.loaded import load_detector, load_ensemble
 from skyproof.detectors.onnx_file import OnnxFile
-from skyproof.detectors.transformers_folder import FOLDER_FILES
+from skyproof.detectors.transformers_folder import FOLDER_FILES, FOLDER_WEIGHTS
 from skyproof.device import choose_device
 from skyproof.errors import ConfigurationError, SkyproofError
 from skyproof.files import file_digest
@@ -274,5 +274,5 @@ def _files(path: Path) -> list[Path]:
         return label_files(path)
     if path.suffix.lower() == ".shp":
         return [side for suffix in _SIDES if (side := path.with_suffix(suffix)).is_file()]
-    beside = [path.with_name(name) for name in FOLDER_FILES]
-    return [path, *(file for file in beside if file.is_file())]
+    names = FOLDER_FILES if path.name in FOLDER_WEIGHTS else ()
+    return [path, *filter(Path.is_file, map(path.with_name, names))]

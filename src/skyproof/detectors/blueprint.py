@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
-from skyproof.documents import in_words
+from skyproof.documents import check_document, in_words
 from skyproof.errors import ConfigurationError
 from skyproof.ranges import check_ranges
 
@@ -47,9 +47,13 @@ _LAYERS = frozenset(_LAYER_NAMES.split())
 _ACTIVATION = re.compile(r"(torch\.)?nn\.[A-Z]\w*\((\w+=[\w.]+|[0-9.]+)?\)")
 
 # Families of transformers whose networks answer alike, and the backbones that they stand on.
-TRANSFORMERS = ("rt_detr", "rt_detr_v2", "d_fine", "detr", "conditional_detr", "deformable_detr")
 TIMM = "timm_backbone"
-_BACKBONES = ("rt_detr_resnet", "resnet", "hgnet_v2", TIMM)
+_BACKBONES = ("rt_detr_resnet", "resnet", "hgnet_v2")
+_FAMILIES = {
+    # They would ask the hub for a backbone of timm.
+    **dict.fromkeys(("rt_detr", "rt_detr_v2", "d_fine"), _BACKBONES),
+    **dict.fromkeys(("detr", "conditional_detr", "deformable_detr"), (*_BACKBONES, TIMM)),
+}
 _RESNET = re.compile(r"resnet\d{2,3}d?(\.\w{1,30})?")
 
 # More than LVIS has: RetinaNet scores each class for 200,000 anchors in an image of 1024 px.
@@ -210,22 +214,16 @@ def check_layers(architecture: Any) -> None:
 
 
 def check_configuration(architecture: Any) -> None:
-    """Refuses networks of transformers but those of the known families, with plain fields."""
-    try:
-        read = msgspec.convert(architecture, _Configuration)
-    except (msgspec.ValidationError, RecursionError) as error:
-        raise ConfigurationError(
-            "expected the configuration of a network of transformers "
-            f"({in_words(str(error)).removeprefix(', ')[:200]}); give the folder of a detector."
-        ) from error
+    """Refuses a configuration of transformers unless its family is known and its fields plain."""
+    what, remedy = "the configuration of transformers", "give the folder of a detector"
+    read: Any = check_document(architecture, _Configuration, what, remedy, error=ConfigurationError)
     family, backbone = (part.get("model_type") for part in (read.network, read.backbone))
-    # RT-DETR and D-FINE would ask the hub for backbones of timm.
-    unknown = backbone not in _BACKBONES or (backbone == TIMM and family in TRANSFORMERS[:3])
-    if family not in TRANSFORMERS or unknown:
+    known = _FAMILIES.get(str(family), ())
+    if backbone not in known:
         raise ConfigurationError(
-            f"the network is a {family} on a {backbone}, expected one of {', '.join(TRANSFORMERS)} "
-            f"on one of {', '.join(_BACKBONES)}; export it to ONNX, which skyproof assess tests as "
-            "a black box."
+            f"the network is a {family} on a {backbone}, expected one of {', '.join(_FAMILIES)} on "
+            f"one of {', '.join(known or _BACKBONES)}; export it to ONNX, which skyproof assess "
+            "tests as a black box."
         )
     # timm would load other names from its hub.
     name = read.backbone.get("backbone")

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 from msgspec import Meta
 
 from skyproof.detectors.blueprint import Blueprint
+from skyproof.detectors.transformers_folder import FOLDER_WEIGHTS
 from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import write_json
@@ -167,15 +168,14 @@ def reference_folder(name: str) -> Path:
 def detector_folder(place: str | Path) -> Path:
     """Returns the folder or the checkpoint file that `place` stands for.
 
-    The name of a shipped detector stands for its folder, and a folder of transformers for its
-    weights.
+    A shipped detector's name stands for its folder, a folder of transformers for its weights.
     """
     folder = Path(place)
     if str(place) in SHIPPED_DETECTORS and not folder.exists():
         return REFERENCE_FOLDER / folder.name
-    weights = [folder / name for name in ("model.safetensors", "pytorch_model.bin")]
-    foreign = [] if (folder / "detector.json").exists() else filter(Path.is_file, weights)
-    return next(iter(foreign), folder)
+    if (folder / "detector.json").exists():
+        return folder
+    return next((folder / name for name in FOLDER_WEIGHTS if (folder / name).is_file()), folder)
 
 
 @contextmanager

@@ -47,7 +47,7 @@ def measured() -> Iterator[None]:
 
 
 class Meter(TorchDispatchMode):
-    """Counts numbers and operations, and stops beyond the limits; a number is there before."""
+    """Counts numbers and operations, and stops after the step that exceeds a limit."""
 
     def __init__(self) -> None:
         super().__init__()

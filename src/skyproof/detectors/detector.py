@@ -1,5 +1,6 @@
 """The interface of a detector, and the checks, and the padding that all of them share."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -164,8 +165,10 @@ def check_targets(images: Tensor, targets: Sequence[Tensor]) -> None:
 
 
 def pad_to_stride(
-    images: Float[Tensor, "B 3 H W"], value: float, stride_px: int = 32
+    images: Float[Tensor, "B 3 H W"], value: float, stride_px: int = 32, least_px: int = 0
 ) -> Float[Tensor, "B 3 H2 W2"]:
-    """Pads right and below until both sides are multiples of `stride_px`; coordinates stay."""
-    height, width = images.shape[-2:]
-    return functional.pad(images, (0, -width % stride_px, 0, -height % stride_px), value=value)
+    """Pads right and below to the next multiples of `stride_px` from `least_px`; boxes stay."""
+    below, right = (
+        math.ceil(max(side, least_px) / stride_px) * stride_px - side for side in images.shape[-2:]
+    )
+    return functional.pad(images, (0, right, 0, below), value=value)

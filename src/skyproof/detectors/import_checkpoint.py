@@ -1,6 +1,5 @@
 """Turns a checkpoint into a detector folder: weights, vehicle classes, frozen threshold."""
 
-import itertools
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,7 +17,7 @@ from skyproof.detectors.checkpoints import StandIn, networks_in, parts_of, read_
 from skyproof.detectors.imported import ImportedDetector, class_rows
 from skyproof.detectors.loaded import save_detector
 from skyproof.detectors.transformers_detectors import converted_weights
-from skyproof.detectors.transformers_folder import read_folder
+from skyproof.detectors.transformers_folder import FOLDER_WEIGHTS, read_folder
 from skyproof.detectors.validation import check_validation, frozen_card, validate
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import file_digest, finished_folder, refuse_existing
@@ -67,7 +66,8 @@ def kind_of(path: Path, architecture: str | None) -> Kind:
     """Returns the kind of a checkpoint file; only torchvision's needs an architecture."""
     if architecture is not None:
         return "torchvision"
-    return "transformers" if path.with_name("config.json").is_file() else "ultralytics"
+    told = path.name in FOLDER_WEIGHTS and path.with_name("config.json").is_file()
+    return "transformers" if told else "ultralytics"
 
 
 def import_detector(
@@ -149,8 +149,11 @@ def read_blueprint(
 
     `scale` is the number of network pixels per image pixel.
     """
-    readers = {"torchvision": _torchvision, "ultralytics": read_ultralytics}
-    readers["transformers"] = _transformers
+    readers = {
+        "torchvision": _torchvision,
+        "ultralytics": read_ultralytics,
+        "transformers": _transformers,
+    }
     read = readers.get(checkpoint.kind)
     if read is None:
         raise ConfigurationError(
@@ -307,8 +310,8 @@ def _positions(vehicles: Sequence[str], classes: list[str]) -> list[int]:
             f"{', '.join(missing) or 'none'}."
         )
     # Several classes may have the same name, and a name may be given twice.
-    pairs = itertools.product(vehicles, enumerate(classes))
-    return [*dict.fromkeys(index for wanted, (index, name) in pairs if name == wanted)]
+    found = (index for one in vehicles for index, name in enumerate(classes) if name == one)
+    return [*dict.fromkeys(found)]
 
 
 def _class_names(path: Path, names: Any) -> list[str]:

@@ -27,6 +27,7 @@ from skyproof.detectors.detector import (
     TrainableDetector,
     check_images,
     check_targets,
+    pad_to_stride,
 )
 from skyproof.detectors.query_detector import QueryDetector
 from skyproof.detectors.torchvision_detectors import (
@@ -151,8 +152,7 @@ class ImportedDetector(TrainableDetector):
                 images, size=(height, width), mode="bilinear", align_corners=False, antialias=True
             )
         # A small image at a coarse resolution may be too small for the network.
-        margins = (0, max(0, SMALLEST_IMAGE_PX - width), 0, max(0, SMALLEST_IMAGE_PX - height))
-        return functional.pad(images, margins, value=PADDING_GREY) if any(margins) else images
+        return pad_to_stride(images, PADDING_GREY, stride_px=1, least_px=SMALLEST_IMAGE_PX)
 
 
 def _network(

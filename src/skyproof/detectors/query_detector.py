@@ -28,10 +28,7 @@ _FOCAL_WEIGHT = 0.75
 
 @dataclass(frozen=True)
 class Answers:
-    """The last layer's scores of each class before the sigmoid, or softmax, and its boxes.
-
-    Boxes are centre, width and height, in shares of the image's sides.
-    """
+    """Class scores before sigmoid or softmax; boxes as centre and sides, in shares of the image."""
 
     logits: Float[Tensor, "B Q C"]
     boxes: Float[Tensor, "B Q 4"]
@@ -41,7 +38,7 @@ class QueryDetector(TrainableDetector):
     """A DETR, RT-DETR or relative: each query answers with one box and a score of each class.
 
     Boxes are shares of the image's sides, so smaller images are padded to `side_px`, the side in
-    training, and larger ones are split. Answers are not suppressed. Dropout stays off, always.
+    training, and larger ones are split. Answers are not suppressed. Dropout always stays off.
     """
 
     model: Any
@@ -72,7 +69,7 @@ class QueryDetector(TrainableDetector):
         raise NotImplementedError
 
     def train(self, mode: bool = True) -> "QueryDetector":
-        """Keeps the network as it infers: without dropout, and without noised queries."""
+        """Keeps the network as it infers: without dropout or denoising queries."""
         return super().train(False)
 
     def candidates(self, images: Images) -> Candidates:
@@ -141,9 +138,6 @@ class QueryDetector(TrainableDetector):
     def _seen(self, images: Images) -> tuple[Tensor, Tensor]:
         """Pads right and below to the side in training, and normalises; also returns the sides."""
         check_images(images)
-        height, width = images.shape[-2:]
-        margins = (0, max(0, self.side_px - width), 0, max(0, self.side_px - height))
-        padded = functional.pad(images, margins, value=PADDING_GREY)
-        padded = pad_to_stride(padded, value=PADDING_GREY)
+        padded = pad_to_stride(images, PADDING_GREY, least_px=self.side_px)
         sides = images.new_tensor([padded.shape[-1], padded.shape[-2]] * 2)
         return normalize(padded, *self.colours), sides

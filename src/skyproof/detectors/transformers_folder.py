@@ -11,8 +11,9 @@ from skyproof.detectors.blueprint import TIMM, check_configuration
 from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError, StoredFileError
 
+FOLDER_WEIGHTS = ("model.safetensors", "pytorch_model.bin")
 FOLDER_FILES = ("config.json", "preprocessor_config.json")
-"""The files beside the weights that say what the network is and sees."""
+"""Files that may hold a folder's weights, and those that say what the network is and sees."""
 
 REMEDY = "give the folder as save_pretrained of the model and of its image processor writes it"
 

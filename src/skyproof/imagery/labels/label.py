@@ -34,8 +34,8 @@ class Label:
     @classmethod
     def upright(cls, class_name: str, box: Box, ignore: bool = False) -> "Label":
         """Returns the label of a box, without size if a side comes before its opposite one."""
-        left, top, *end = box
-        right, bottom = map(max, (left, top), end)
+        left, top, right, bottom = box
+        right, bottom = max(left, right), max(top, bottom)
         corners = (left, top), (right, top), (right, bottom), (left, bottom)
         return cls(class_name, corners, ignore)
 
