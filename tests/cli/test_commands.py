@@ -122,6 +122,32 @@ def test_train(finished: Path, tmp_path: Path, skyproof: Skyproof) -> None:
     assert not (tmp_path / "x").exists()
 
 
+def test_train_renders_images_as_it_needs_them(
+    finished: Path, tmp_path: Path, skyproof: Skyproof
+) -> None:
+    validation = finished / "datasets/validation"
+    call = ["train", "--detector", "retinanet", "--validation", validation, *CPU]
+    call += ["--settings.steps", 2, "--settings.batch-size", 2]
+    answer = skyproof(*call, "--data", finished, "--out", tmp_path / "drawn")
+    assert answer.code == 0, answer.err
+    card = json.loads((tmp_path / "drawn/detector.json").read_text())
+    assert card["trained_on"] == "rendered on finished in training"
+    assert card["image_size_px"] == [192, 192]
+    images = finished / "datasets/train"
+    assert skyproof(*call, "--data", finished, images, "--out", tmp_path / "both").code == 0
+    both = json.loads((tmp_path / "both/detector.json").read_text())
+    assert both["training"]["images"] == 12
+    assert both["trained_on"].endswith("; rendered on finished in training")
+    assert both["weights_sha256"] != card["weights_sha256"]
+    other = tmp_path / "other"
+    other.symlink_to(finished)
+    refused = skyproof(*call, "--data", finished, other, "--out", tmp_path / "x")
+    refused.refused("--data expects one folder", "got 2", "skyproof render")
+    (tmp_path / "bare/backgrounds").mkdir(parents=True)
+    skyproof(*call, "--data", tmp_path / "bare", "--out", tmp_path / "x").refused("bare")
+    assert not (tmp_path / "x").exists()
+
+
 def test_attack(finished: Path, tmp_path: Path, skyproof: Skyproof) -> None:
     detector = finished / "detectors/retinanet"
     out = tmp_path / "made"

@@ -112,27 +112,22 @@ def test_half_of_the_parents_weights_stay(
     assert mixed.weights_sha256 != trained.weights_sha256
 
 
-def test_photographs_are_a_quarter_of_the_images(rendered: RenderedWorld) -> None:
-    world, photographs = world_of(rendered), images(rendered, "train")
-    for given, counts in ((photographs, [1, 1]), (None, [2])):
-        batches = hardening._plain_batches(world, given, SETTINGS, 3, 0)
-        assert [len(shown) for shown, _ in batches] == counts
-        assert all(len(shown) == len(boxes) for shown, boxes in batches)
-
-
-def test_vehicles_marked_so_wear_patterns_on_plain_images(
-    rendered: RenderedWorld, monkeypatch: pytest.MonkeyPatch
+def test_photographs_are_a_quarter_of_the_images(
+    rendered: RenderedWorld, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(hardening, "EMPTY_SHARE", 0.0)
-    shown = []
-    for marks in ({}, {"coat": "patterned"}):
-        world = world_of(rendered)
-        sources = dict.fromkeys(world.fleet.ids, marks)
-        world = dataclasses.replace(world, fleet=dataclasses.replace(world.fleet, sources=sources))
-        ((images, boxes),) = hardening._plain_batches(world, None, SETTINGS, 3, 0)
-        assert sum(map(len, boxes)) > 1
-        shown.append(images)
-    assert float((shown[0] - shown[1]).abs().max()) > 0.1
+    shown: list[list[int]] = []
+    usual = hardening.add_gradients
+
+    def remember(detector: TrainableDetector, batches: Any) -> Any:
+        assert all(len(images) == len(boxes) for images, boxes in batches)
+        shown.append([len(images) for images, _ in batches])
+        return usual(detector, batches)
+
+    monkeypatch.setattr(hardening, "add_gradients", remember)
+    settings = dataclasses.replace(SETTINGS, steps=1)
+    run(rendered, tmp_path / "photographs", images(rendered, "train"), settings)
+    run(rendered, tmp_path / "none", None, settings)
+    assert shown == [[2, 1, 1], [2, 2]]
 
 
 def test_camouflages_climb_the_loss_that_the_detector_descends(

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from skyproof.assessment.command import Request
-from skyproof.assessment.suite import Suite, side_px
+from skyproof.assessment.suite import Suite
 from skyproof.attacks.world import World
 from skyproof.camouflage.palette import ground_palette
 from skyproof.cli.ground import inspect_shown
@@ -41,6 +41,7 @@ from skyproof.results.statistics.acceptance import Requirement, fewest_tiles
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.places import Places
 from skyproof.scenes.placing import known_places
+from skyproof.scenes.settings import side_px
 from skyproof.scenes.splits import Split
 
 REFERENCE_GSD_M = 0.125

@@ -1,6 +1,5 @@
 """The suites of attacks of `skyproof assess` and of the demo: frozen, so that results compare."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,11 +15,6 @@ from skyproof.seeds import next_seed
 
 SUITE = Path(__file__).with_name("suite.json")
 DEMO_SUITE = Path(__file__).with_name("demo.json")
-
-_STRIDE_PX = 32
-"""Sides of images are multiples of this, as detectors require."""
-
-_SMALLEST_PX = 96
 
 
 @dataclass(frozen=True)
@@ -127,8 +121,3 @@ def read_suite(path: Path = SUITE) -> Suite:
 def texture_under(name: CamouflageName) -> str:
     """The name of the texture under the shape of a sequential attack."""
     return str(CamouflageName("texture", name.constraints))
-
-
-def side_px(side_m: float, gsd_m: float) -> int:
-    """The side of an image at a resolution."""
-    return max(_SMALLEST_PX, math.ceil(side_m / gsd_m / _STRIDE_PX) * _STRIDE_PX)

@@ -2,14 +2,18 @@
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
 import msgspec
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from skyproof.camouflage.camouflage import Camouflage
+from skyproof.camouflage.random_controls import RandomPatterns
+from skyproof.detectors.batches import Batch
 from skyproof.detectors.inference import device_of
 from skyproof.errors import ConfigurationError
 from skyproof.render.dataset import placed_vehicles
@@ -20,6 +24,7 @@ from skyproof.scenes.places import Places
 from skyproof.scenes.sampling import sample_scenes
 from skyproof.scenes.scene import Scene
 from skyproof.scenes.settings import SceneSettings
+from skyproof.scenes.splits import Split
 from skyproof.vehicles.fleet import Fleet
 
 
@@ -33,12 +38,14 @@ class World:
         fleet: vehicles to camouflage.
         scenes: distribution of the scenes; attacks expect exactly one vehicle per image (section
             3.2).
+        split: split of the ground.
     """
 
     renderer: Renderer
     backgrounds: BackgroundSet
     fleet: Fleet
     scenes: SceneSettings
+    split: Split = "attack"
 
     def __post_init__(self) -> None:
         if not self.renderer.differentiable:
@@ -55,6 +62,7 @@ class World:
         size_px: int = 384,
         conditions: Sequence[str] = ("clear",),
         places: Places = "uniform",
+        split: Split = "attack",
     ) -> "World":
         """Opens a background set and a fleet folder under the differentiable renderer.
 
@@ -69,18 +77,33 @@ class World:
             size_px=size_px, vehicles_maximum=1, places=places, conditions=tuple(conditions)
         )
         photographs = BackgroundSet.open(Path(backgrounds))
-        return cls(TorchRenderer(photographs), photographs, Fleet.load(Path(fleet)), scenes)
+        return cls(TorchRenderer(photographs), photographs, Fleet.load(Path(fleet)), scenes, split)
 
     @cached_property
     def digest(self) -> str:
         """The SHA-256 of the index of the ground's tiles and of the vehicles' sizes."""
-        facts = [self.backgrounds.gsd_m, self.backgrounds.tiles("attack"), self.fleet.sizes_m]
+        facts = [self.backgrounds.gsd_m, self.backgrounds.tiles(self.split), self.fleet.sizes_m]
         return hashlib.sha256(msgspec.json.encode(facts)).hexdigest()
 
+    @property
+    def gsd_m(self) -> float:
+        """Metres per pixel of its images."""
+        return self.backgrounds.gsd_m
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Width and height of its images."""
+        return self.scenes.size_px, self.scenes.size_px
+
     def draw(self, count: int, *, generator: torch.Generator) -> list[Scene]:
-        """Draws random scenes on the attack backgrounds."""
+        """Draws random scenes on the ground of the split."""
         return sample_scenes(
-            self.scenes, self.backgrounds, "attack", self.fleet.sizes_m, count, generator=generator
+            self.scenes,
+            self.backgrounds,
+            self.split,
+            self.fleet.sizes_m,
+            count,
+            generator=generator,
         )
 
     def step_scenes(self, count: int, seed: int, step: int) -> list[Scene]:
@@ -104,3 +127,23 @@ class World:
         if camouflage is None:
             return self.renderer(scenes, vehicles.to(device or "cpu"))
         return self.renderer(scenes, camouflage(vehicles.to(device_of(camouflage))))
+
+    def for_training(self, empty_share: float = 0.0) -> "World":
+        """Returns the same world with the scenes of `SceneSettings.for_training`."""
+        scenes = self.scenes.for_training(self.backgrounds.gsd_m, empty_share)
+        return replace(self, scenes=scenes)
+
+    @torch.no_grad()
+    def images(self, count: int, *, generator: torch.Generator, device: torch.device) -> Batch:
+        """Renders new scenes on `device`, with random patterns on some vehicles."""
+        scenes = self.draw(count, generator=generator)
+        vehicles = RandomPatterns(self.fleet)(placed_vehicles(self.fleet, scenes).to(device))
+        frames = self.renderer(scenes, vehicles)
+        return frames.image, boxes_in_sight(frames)
+
+
+def boxes_in_sight(frames: Frames) -> list[Float[Tensor, "_n 4"]]:
+    """The boxes of each image; one of a vehicle out of sight would make the loss infinite."""
+    boxes = frames.boxes.detach()
+    seen = (boxes[:, 2:] > boxes[:, :2]).all(dim=1)
+    return [boxes[seen & (frames.scene_index == row)] for row in range(len(frames.image))]

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -11,18 +11,25 @@ from skyproof.cli.import_detector import say_card
 from skyproof.console import progress_bar
 from skyproof.detectors.settings import TRAINING_PRESETS, TrainingChanges
 from skyproof.errors import ConfigurationError
+from skyproof.layout import Layout
 from skyproof.ranges import Seed
+from skyproof.scenes.settings import side_px
+
+if TYPE_CHECKING:
+    from skyproof.attacks.world import World
+
+# Of rendered images: their side, and the share of those without vehicles.
+_SIDE_M, _EMPTY_SHARE = 24.0, 0.3
 
 
 @dataclass(frozen=True)
 class Train:
-    """Trains a detector on dataset folders and freezes its threshold.
-
-    A stopped training resumes with the same command.
+    """Trains a detector and freezes its threshold. A stopped one resumes with the same command.
 
     Attributes:
         detector: retinanet, faster_rcnn or yolov5.
-        data: dataset folders to train on, of one resolution.
+        data: dataset folders to train on, of one resolution. A folder with `backgrounds` and
+            `fleets` gives half of each step's images, or all, rendered as they are needed.
         validation: dataset folder that chooses the best weights and the threshold.
         out: detector folder to write.
         start: detector folder of the same kind and size whose weights are trained further.
@@ -54,10 +61,12 @@ class Train:
         network, parent = build_detector(*kind, generator=weights), None
         settings = replace(TRAINING_PRESETS[kind], **self.settings)
         device = choose_device(self.device)
-        sets = [Dataset.open(folder) for folder in self.data]
-        training, validation = Dataset.joined(sets), Dataset.open(self.validation)
+        sets = [Dataset.open(folder) for folder in self.data if folder not in self._drawn]
+        training = Dataset.joined(sets) if sets or not self._drawn else None
+        validation = Dataset.open(self.validation)
+        world = self._world(validation.gsd_m)
         if self.start is not None:
-            (network,) = load_ensemble([self.start], device, training.gsd_m)
+            (network,) = load_ensemble([self.start], device, validation.gsd_m)
             if (network.name, network.size) != kind:
                 raise ConfigurationError(
                     f"--from {self.start} expects a {' '.join(kind)} that skyproof trained, got a "
@@ -65,6 +74,7 @@ class Train:
                 )
             parent = network.card
         origins = [parent.trained_on if parent else "", *(each.origin for each in sets)]
+        origins += [f"rendered on {folder.resolve().name} in training" for folder in self._drawn]
         with progress_bar(f"train {self.detector}") as update:
 
             def show(row: Mapping[str, Any]) -> None:
@@ -81,5 +91,28 @@ class Train:
                 on_step=show,
                 parent=parent,
                 trained_on="; ".join(filter(None, origins))[:10_000],
+                drawn=world,
             )
         say_card(card, self.out)
+
+    @property
+    def _drawn(self) -> list[Path]:
+        """The folders whose ground and vehicles are rendered."""
+        return [folder for folder in self.data if Layout(folder).backgrounds.is_dir()]
+
+    def _world(self, gsd_m: float) -> "World | None":
+        """The world that images are rendered of; None without one."""
+        from skyproof.attacks.world import World
+
+        if not self._drawn:
+            return None
+        if len(self._drawn) > 1:
+            raise ConfigurationError(
+                f"--data expects one folder to render from, got {len(self._drawn)}; render images "
+                "of the others (skyproof render)."
+            )
+        layout = Layout(self._drawn[0])
+        size_px = side_px(_SIDE_M, gsd_m)
+        fleet = layout.fleets / "train"
+        world = World.open(layout.backgrounds, fleet, size_px=size_px, split="train")
+        return world.for_training(_EMPTY_SHARE)

@@ -1,6 +1,8 @@
 """The images of one training step: order, windows of large images, masking, augmentation."""
 
 import math
+from dataclasses import replace
+from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -10,11 +12,53 @@ from torch.nn import functional
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.detector import PADDING_GREY, WINDOW_PX
 from skyproof.detectors.settings import TrainingSettings
+from skyproof.randomness import generator_of
+
+Batch = tuple[Float[Tensor, "B 3 H W"], list[Float[Tensor, "_n 4"]]]
+"""Images, sRGB in [0, 1], and the boxes of each, pixel xyxy."""
 
 
-def training_batch(
-    training: Dataset, settings: TrainingSettings, seed: int, step: int
-) -> tuple[Float[Tensor, "B 3 H W"], list[Tensor]]:
+@runtime_checkable
+class DrawnImages(Protocol):
+    """Labelled images that are rendered as they are needed; equal digests draw equal ones."""
+
+    @property
+    def digest(self) -> str: ...
+
+    @property
+    def gsd_m(self) -> float: ...
+
+    @property
+    def size_px(self) -> tuple[int, int]: ...
+
+    def images(self, count: int, *, generator: torch.Generator, device: torch.device) -> Batch: ...
+
+
+def training_batches(
+    training: Dataset | None,
+    drawn: DrawnImages | None,
+    settings: TrainingSettings,
+    seed: int,
+    device: torch.device,
+    step: int,
+) -> list[Batch]:
+    """Makes the images of one step, counted from 0; half of them are drawn if there are others.
+
+    Drawn ones are on `device`.
+    """
+    left, batches = settings.batch_size, []
+    if training is not None:
+        shown = left if drawn is None else left - left // 2
+        batches.append(training_batch(training, replace(settings, batch_size=shown), seed, step))
+        left -= shown
+    if drawn is not None and left:
+        generator = generator_of(seed, "plain", step)
+        images, boxes = drawn.images(left, generator=generator, device=device)
+        batches.append((jitter(images, settings.jitter, generator=generator), boxes))
+    return batches
+
+
+def training_batch(training: Dataset, settings: TrainingSettings, seed: int, step: int) -> Batch:
     """Makes the images and boxes of one step, counted from 0.
 
     They depend on seed and step alone, so that a resumed training is exact. An image wider or

@@ -16,9 +16,10 @@ from torch.optim.swa_utils import AveragedModel
 from skyproof import __version__
 from skyproof.datasets.dataset import Dataset
 from skyproof.datasets.pictures import made_ahead
-from skyproof.detectors.batches import training_batch
+from skyproof.detectors.batches import DrawnImages, training_batches
 from skyproof.detectors.card import DetectorCard
 from skyproof.detectors.detector import WINDOW_PX, TrainableDetector
+from skyproof.detectors.inference import device_of
 from skyproof.detectors.loaded import load_detector, save_detector
 from skyproof.detectors.settings import TrainingSettings
 from skyproof.detectors.validation import check_validation, validate
@@ -33,7 +34,7 @@ _OTHER = "a training with other settings, another seed, start or images"
 
 def train(
     detector: TrainableDetector,
-    training: Dataset,
+    training: Dataset | None,
     validation: Dataset,
     settings: TrainingSettings,
     folder: Path,
@@ -42,6 +43,7 @@ def train(
     on_step: Callable[[dict[str, Any]], None] | None = None,
     parent: DetectorCard | None = None,
     trained_on: str = "",
+    drawn: DrawnImages | None = None,
 ) -> DetectorCard:
     """Trains `detector` in place; its best averaged weights end in it and in `folder`.
 
@@ -50,7 +52,8 @@ def train(
     number of threads the result equals that of an uninterrupted training bit for bit.
 
     The detector is on the device to train on: new from `build_detector`, or trained before as the
-    card of its `parent` says. `trained_on` names the images. Validation chooses the best weights
+    card of its `parent` says. Half of the images are `drawn` as they are needed, or all without
+    other `training` images. `trained_on` names the images. Validation chooses the best weights
     (centre AP, then F1) and freezes the threshold. The generator gives one number, the seed of
     order and augmentation (`training_batch`). `on_step` gets each row of `steps.jsonl`.
 
@@ -67,18 +70,35 @@ def train(
         "size": detector.size,
         "seed": seed,
         "settings": asdict(settings),
-        "data_sha256": training.digest,
+        "data_sha256": None if training is None else training.digest,
         "validation_sha256": validation.digest,
     }
     if parent is not None:
         identity["parent_sha256"] = detector.weights_sha256
-    _check(training, validation)
+    if drawn is not None:
+        identity["world_sha256"] = drawn.digest
+    width, height = _check(training, validation, drawn)
 
     def lessons(steps: range) -> Iterator[Tensor]:
-        for batch in made_ahead(partial(training_batch, training, settings, seed), steps):
-            yield add_gradients(detector, [batch])
+        make = partial(training_batches, training, drawn, settings, seed, device_of(detector))
+        for batches in made_ahead(make, steps):
+            yield add_gradients(detector, batches)
 
-    card = replace(_card(detector, identity, training), trained_on=trained_on or training.origin)
+    card = DetectorCard(
+        name=detector.name,
+        size=detector.size,
+        threshold=1.0,  # replaced at the end
+        gsd_m=validation.gsd_m,
+        image_size_px=(min(height, WINDOW_PX), min(width, WINDOW_PX)),
+        parameters=sum(parameter.numel() for parameter in detector.parameters()),
+        training={
+            "identity": json.loads(json.dumps(identity)),
+            "images": len(training or ()),
+            "data_sha256": identity["data_sha256"],
+            "validation_sha256": identity["validation_sha256"],
+        },
+        trained_on=trained_on or (training.origin if training is not None else ""),
+    )
     return fit(detector.train(), validation, settings, folder, identity, lessons, card, on_step)
 
 
@@ -251,17 +271,24 @@ def _learning_rate(step: int, settings: TrainingSettings) -> float:
     return settings.learning_rate * 0.5 * (1 + math.cos(math.pi * progress))
 
 
-def _check(training: Dataset, validation: Dataset) -> None:
-    if not len(training) or not any(len(boxes) for boxes in training.boxes):
+def _check(
+    training: Dataset | None, validation: Dataset, drawn: DrawnImages | None
+) -> tuple[int, int]:
+    """Refuses images that cannot train a detector; returns width and height of the first."""
+    first = drawn if training is None else next(iter(training.pictures), None)
+    vehicles = drawn is not None or (training is not None and any(map(len, training.boxes)))
+    if first is None or not vehicles:
         raise ConfigurationError(
             "Training expects images with at least one vehicle; none was given."
         )
     check_validation(validation)
-    if not math.isclose(training.gsd_m, validation.gsd_m):
-        raise ConfigurationError(
-            f"Training images have {training.gsd_m} m per pixel, validation images "
-            f"{validation.gsd_m}; resample one."
-        )
+    for images in (training, drawn):
+        if images is not None and not math.isclose(images.gsd_m, validation.gsd_m):
+            raise ConfigurationError(
+                f"Training images have {images.gsd_m} m per pixel, validation images "
+                f"{validation.gsd_m}; resample one."
+            )
+    return first.size_px
 
 
 def _finished(detector: TrainableDetector, folder: Path, identity: dict[str, Any]) -> DetectorCard:
@@ -270,22 +297,3 @@ def _finished(detector: TrainableDetector, folder: Path, identity: dict[str, Any
     detector.load_state_dict(stored.state_dict())
     detector.eval()
     return stored.card
-
-
-def _card(detector: TrainableDetector, identity: dict[str, Any], training: Dataset) -> DetectorCard:
-    """Returns a detector's card before its training; its threshold is replaced at the end."""
-    width, height = training.pictures[0].size_px
-    return DetectorCard(
-        name=detector.name,
-        size=detector.size,
-        threshold=1.0,
-        gsd_m=training.gsd_m,
-        image_size_px=(min(height, WINDOW_PX), min(width, WINDOW_PX)),
-        parameters=sum(parameter.numel() for parameter in detector.parameters()),
-        training={
-            "identity": json.loads(json.dumps(identity)),
-            "images": len(training),
-            "data_sha256": identity["data_sha256"],
-            "validation_sha256": identity["validation_sha256"],
-        },
-    )

@@ -9,7 +9,7 @@ from typing import Any
 from msgspec import to_builtins
 
 from skyproof.assessment.subject import places_of
-from skyproof.assessment.suite import read_suite, side_px
+from skyproof.assessment.suite import read_suite
 from skyproof.attacks.world import World
 from skyproof.cli.ground import Ground
 from skyproof.cli.import_detector import say_card
@@ -33,7 +33,7 @@ from skyproof.report.hardened import Parent, known_rates, scenes_of
 from skyproof.results.results import Results
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.places import Places
-from skyproof.scenes.settings import SceneSettings
+from skyproof.scenes.settings import SceneSettings, side_px
 from skyproof.seeds import next_seed
 
 _TILES, _VEHICLES, _VALIDATION_SCENES = (1, 1, 480, 1), (200, 1, 1, 1), 120

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from skyproof.assessment.suite import read_suite, side_px
+from skyproof.assessment.suite import read_suite
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.folder import load_camouflage
 from skyproof.camouflage.random_controls import RandomPatterns
@@ -17,7 +17,7 @@ from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError
 from skyproof.files import file_digest, refuse_existing, write_json
 from skyproof.hardening.command import Harden
-from skyproof.hardening.training import EMPTY_SHARE, WEATHER
+from skyproof.hardening.training import EMPTY_SHARE
 from skyproof.layout import Layout
 from skyproof.loop import refuse_other
 from skyproof.render.dataset import render_dataset
@@ -26,7 +26,7 @@ from skyproof.results.result import MAIN_MATCH
 from skyproof.results.results import RENDERER, Results
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.places import Places
-from skyproof.scenes.settings import TRAINING_MARGIN_M, SceneSettings
+from skyproof.scenes.settings import TRAINING_MARGIN_M, TRAINING_WEATHER, SceneSettings, side_px
 from skyproof.vehicles.fleet import Fleet
 
 _PAINTED, _CAMOUFLAGED = 400, 800
@@ -74,7 +74,7 @@ def render_images(
             settings = SceneSettings(
                 size_px=side_px(read_suite().image_m, card.gsd_m),
                 places=places,
-                conditions=WEATHER,
+                conditions=TRAINING_WEATHER,
                 empty_share=empty,
                 margin_m=TRAINING_MARGIN_M,
             )

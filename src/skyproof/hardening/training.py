@@ -13,25 +13,20 @@ from torch import Tensor
 
 from skyproof.attacks.attack import make_optimiser
 from skyproof.attacks.settings import AttackSettings
-from skyproof.attacks.world import World
+from skyproof.attacks.world import World, boxes_in_sight
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.make import make_camouflage
 from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.palette import ground_palette
-from skyproof.camouflage.random_controls import RandomPatterns
 from skyproof.datasets.dataset import Dataset
 from skyproof.datasets.pictures import made_ahead
-from skyproof.detectors.batches import jitter, training_batch
+from skyproof.detectors.batches import jitter, training_batches
 from skyproof.detectors.card import DetectorCard
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.inference import device_of
 from skyproof.detectors.settings import TrainingSettings
 from skyproof.detectors.training import add_gradients, fit
 from skyproof.randomness import generator_of
-from skyproof.render.dataset import placed_vehicles
-from skyproof.render.frames import Frames
-from skyproof.scenes.scene import Scene
-from skyproof.scenes.settings import TRAINING_MARGIN_M
 
 # T-PixFcMa, shapes and combinations are left out, so that they show whether hardening carries over.
 ATTACKS = ("T-U", "T-Ma", "T-Pix")
@@ -39,11 +34,10 @@ _ALIVE, _LIFE_STEPS = 4, 80
 # Camouflages that are kept, and the share of steps that show one, so that none is forgotten.
 _KEPT, _KEPT_SHARE = 12, 0.3
 _CLIMB = AttackSettings(learning_rate=0.1)
-WEATHER = ("clear", "haze", "overcast", "exposure", "noise", "jpeg", "low_sun", "low_sun")
 # With half of the parent's weights, less AP on photographs is lost (docs/detectors.md).
 _PARENT_SHARE = 0.5
-# Share of the plain images without vehicles; most vehicles on an image as small as in attacks.
-EMPTY_SHARE, _MOST_VEHICLES = 0.5, 3
+EMPTY_SHARE = 0.5
+"""Share of the plain images without vehicles."""
 
 
 def harden(
@@ -91,18 +85,21 @@ def harden(
         "validation_sha256": validation.digest,
         "parent_share": _PARENT_SHARE,
     }
+    # Half of a step's images show camouflages.
+    halved = replace(settings, batch_size=settings.batch_size - settings.batch_size // 2)
+    camouflaged, plain = world.for_training(), world.for_training(EMPTY_SHARE)
     worn = _Worn(seed, ground_palette(world.backgrounds), device)
 
     def take_steps(steps: range) -> Iterator[Tensor]:
-        make = partial(_plain_batches, world, photographs, settings, seed)
+        make = partial(training_batches, photographs, plain, halved, seed % 2**62, device)
         for step, batches in zip(steps, made_ahead(make, steps), strict=True):
             draw = generator_of(seed, "attacked", step)
-            scenes = _draw(world, settings.batch_size // 2, draw)
+            scenes = camouflaged.draw(settings.batch_size // 2, generator=draw)
             camouflage, climber = worn.of_step(step, draw)
             with torch.set_grad_enabled(climber is not None):
                 frames = world.frames(camouflage, scenes)
             shown = frames.image.detach().requires_grad_()
-            attacked = (jitter(shown, settings.jitter, generator=draw), _in_sight(frames))
+            attacked = (jitter(shown, settings.jitter, generator=draw), boxes_in_sight(frames))
             loss = add_gradients(detector, [attacked, *batches])
             if climber is not None and shown.grad is not None:
                 frames.image.backward(-shown.grad)
@@ -132,45 +129,6 @@ def harden(
         {"worn": worn},
         start_share=_PARENT_SHARE,
     )
-
-
-def _draw(
-    world: World, count: int, generator: torch.Generator, *, empty: float = 0.0
-) -> list[Scene]:
-    """Draws scenes in all weathers, an `empty` share of them without vehicles."""
-    settings = replace(
-        world.scenes,
-        vehicles_maximum=_MOST_VEHICLES,
-        conditions=WEATHER,
-        empty_share=empty,
-        margin_m=TRAINING_MARGIN_M,
-    )
-    return replace(world, scenes=settings).draw(count, generator=generator)
-
-
-def _plain_batches(
-    world: World, photographs: Dataset | None, settings: TrainingSettings, seed: int, step: int
-) -> list[tuple[Float[Tensor, "B 3 H W"], list[Tensor]]]:
-    """The images of a step without optimised camouflage, and their boxes."""
-    count = settings.batch_size - settings.batch_size // 2
-    batches = []
-    if photographs is not None:
-        shown = replace(settings, batch_size=count // 2)
-        batches.append(training_batch(photographs, shown, seed % 2**62, step))
-        count -= count // 2
-    draw = generator_of(seed, "plain", step)
-    scenes = _draw(world, count, draw, empty=EMPTY_SHARE)
-    with torch.no_grad():
-        vehicles = RandomPatterns(world.fleet)(placed_vehicles(world.fleet, scenes))
-        frames = world.renderer(scenes, vehicles)
-    return [*batches, (jitter(frames.image, settings.jitter, generator=draw), _in_sight(frames))]
-
-
-def _in_sight(frames: Frames) -> list[Tensor]:
-    """The boxes of each image; one of a vehicle out of sight would make the loss infinite."""
-    boxes = frames.boxes.detach()
-    seen = (boxes[:, 2:] > boxes[:, :2]).all(dim=1)
-    return [boxes[seen & (frames.scene_index == row)] for row in range(len(frames.image))]
 
 
 class _Worn:

@@ -1,7 +1,7 @@
 """Settings of random scenes. Imports no torch, so that the command line answers at once."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 from msgspec import Meta
@@ -19,6 +19,13 @@ _LOWEST_SUN_RAD = math.radians(25)
 _HIGHEST_SUN_RAD = math.radians(65)
 TRAINING_MARGIN_M = 0.5
 """Margin of images to train on: photographs show vehicles that their edges cut in half."""
+TRAINING_WEATHER = (
+    *("clear", "haze", "overcast", "exposure", "noise", "jpeg"),
+    *("low_sun", "low_sun"),
+)
+_VEHICLE_M2 = 80.0  # of the image for each of the most vehicles that an image to train on shows
+_STRIDE_PX = 32  # sides of images are multiples of it, as detectors require
+_SMALLEST_PX = 96
 
 _Clearance = Annotated[float, Meta(ge=0, le=1000)]
 
@@ -100,3 +107,21 @@ class SceneSettings:
                 f"{self.margin_m} m; choose a larger image or a smaller margin."
             )
         return half_m
+
+    def for_training(self, gsd_m: float, empty_share: float = 0.0) -> "SceneSettings":
+        """Returns settings for images to train on, in all weathers and with vehicles at the edges.
+
+        `empty_share` is that of the images without vehicles.
+        """
+        return replace(
+            self,
+            vehicles_maximum=max(1, int((self.size_px * gsd_m) ** 2 / _VEHICLE_M2)),
+            conditions=TRAINING_WEATHER,
+            empty_share=empty_share,
+            margin_m=TRAINING_MARGIN_M,
+        )
+
+
+def side_px(side_m: float, gsd_m: float) -> int:
+    """The side of an image at a resolution."""
+    return max(_SMALLEST_PX, math.ceil(side_m / gsd_m / _STRIDE_PX) * _STRIDE_PX)
