@@ -53,12 +53,7 @@ def name_part(name: str) -> Part | None:
 
 
 def label_parts(
-    mesh: SourceMesh,
-    texels: Texels,
-    wrapping: Wrapping,
-    plain: _Mask,
-    *,
-    masked: bool,
+    mesh: SourceMesh, texels: Texels, wrapping: Wrapping, plain: _Mask, *, masked: bool
 ) -> tuple[UInt8[np.ndarray, "512 512"], dict[str, float], list[str]]:
     """Labels every texel.
 
