@@ -83,7 +83,7 @@ class Cleared:
 
 @dataclass(frozen=True)
 class _Found:
-    """The boxes to remove from a tile, and the vehicles on it.
+    """The boxes to remove from a tile (`labelled` and `detected`), and the vehicles on it.
 
     `vehicles` are the boxes of labelled vehicles, None where nobody labelled, and `places` are
     where they stood. `seen` adds the detections, which may not be vehicles: they help to
@@ -96,10 +96,6 @@ class _Found:
     places: list[RemovedVehicle]
     seen: list[RemovedVehicle]
     profiles: Float[Tensor, "k directions layers"]
-
-    @property
-    def boxes(self) -> Boxes:
-        return torch.cat([self.labelled, self.detected])
 
 
 @dataclass(frozen=True)
@@ -235,7 +231,7 @@ def _clear_tile(
     row = Cleared(tile.id, tile.split, len(found.labelled), len(found.detected), len(found.places))
     before = image = clearing.backgrounds.pixels(tile.id)
     mask = torch.zeros(image.shape[1:], dtype=torch.bool)
-    boxes, remaining = found.boxes, torch.zeros(0, 4)
+    boxes, remaining = torch.cat([found.labelled, found.detected]), torch.zeros(0, 4)
     while True:
         round_mask = vehicle_mask(mask.shape, boxes, shadow, gsd_m=gsd_m, margin_m=MARGIN_M)
         mask |= round_mask
