@@ -162,7 +162,7 @@ def tile_imagery(
         notes=notes,
     )
     write_ground_index(folder, tiles, cells)
-    write_json(folder / "tiling.json", dataclasses.asdict(record))
+    write_json(folder / "tiling.json", vars(record))
     # The index comes last: a folder with one is whole.
     write_index(folder, settings.gsd_m, tiles, sensor)
     return record
