@@ -66,7 +66,7 @@ def render_dataset(
     yolo: bool = False,
     batch_size: int = 8,
     device: torch.device | str = "cpu",
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], None] = lambda *_: None,
 ) -> None:
     """Writes `images/*.png`, `annotations.json` (COCO) and `scenes.jsonl`; whole or not at all.
 
@@ -103,8 +103,7 @@ def render_dataset(
             for batch, (frames, corners) in zip(batches, drawn, strict=True):
                 _write(writer, batch, frames, corners)
                 done += len(batch)
-                if progress:
-                    progress(done, len(scenes))
+                progress(done, len(scenes))
         if yolo:
             write_yolo(partial)
 

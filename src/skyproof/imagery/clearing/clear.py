@@ -115,7 +115,7 @@ def clear_backgrounds(
     fill: Fill = fill_ground,
     finder: VehicleFinder | None = None,
     checker: VehicleFinder | None = None,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Callable[[str, int, int], None] = lambda *_: None,
 ) -> dict[str, Any]:
     """Writes a tiled folder of the same tiles without their vehicles, and returns its record.
 
@@ -150,8 +150,7 @@ def clear_backgrounds(
         for done, (tile, one) in enumerate(zip(tiles, every, strict=True), start=1):
             found[tile.id] = one
             profiles[picture_of(tile)].append(one.profiles)
-            if progress is not None:
-                progress("find", done, len(tiles))
+            progress("find", done, len(tiles))
     shadows = {picture: estimate_shadow(measured) for picture, measured in profiles.items()}
     lights = measured_lights(backgrounds, tiles, {name: one.seen for name, one in found.items()})
 
@@ -172,8 +171,7 @@ def clear_backgrounds(
                 figures.append(write_figure(out / "sheets", len(figures) + 1, shown))
             if stored is not None:
                 kept.append(stored)
-            if progress is not None:
-                progress("clear", done, len(tiles))
+            progress("clear", done, len(tiles))
     write_page(out / "sheets", figures)
     record = _record(clearing, rows, shadows) | lights_record(lights)
     if not kept:

@@ -96,7 +96,7 @@ class PhotographPair:
 
 
 def find_pairs(
-    views: Sequence[CoarseView], progress: Callable[[int, int], None] | None = None
+    views: Sequence[CoarseView], progress: Callable[[int, int], None] = lambda *_: None
 ) -> list[PhotographPair]:
     """Finds pairs that show the same ground: enough to join all that do, and to check each other.
 
@@ -131,7 +131,7 @@ def _far_apart(one: CoarseView, other: CoarseView) -> bool:
 
 
 def _matches(
-    views: Sequence[CoarseView], progress: Callable[[int, int], None] | None
+    views: Sequence[CoarseView], progress: Callable[[int, int], None]
 ) -> Iterator[tuple[int, int, Numbers, Numbers]]:
     """Yields two photographs and their points that look alike, by number, the clearest first.
 
@@ -161,8 +161,7 @@ def _matches(
                 points = points[ratio[number, points].argsort(stable=True)[:MOST_MATCHES]]
                 partners = partner[number, points]
                 yield first, start + number, points.numpy(), partners.numpy()
-        if progress is not None:
-            progress(first + 1, len(views))
+        progress(first + 1, len(views))
 
 
 def _compared(
