@@ -111,11 +111,14 @@ def made_ahead(
     At most one result per thread is kept in advance. `start` is called in each thread at first. An
     error of `make` is raised in place of its result.
     """
-    with ThreadPoolExecutor(threads, "ahead", start) as maker:
-        waiting: deque[Future[Made]] = deque()
+    maker = ThreadPoolExecutor(threads, "ahead", start)
+    waiting: deque[Future[Made]] = deque()
+    try:
         for item in items:
             waiting.append(maker.submit(make, item))
             if len(waiting) > threads:
                 yield waiting.popleft().result()
         while waiting:
             yield waiting.popleft().result()
+    finally:
+        maker.shutdown(cancel_futures=True)
