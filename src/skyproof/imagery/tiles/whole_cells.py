@@ -56,8 +56,8 @@ def shown_whole(
     }
 
 
-def _lies_along(outline: Polygon) -> bool:
+def _lies_along(photograph: Polygon) -> bool:
     """Returns whether the sides of a photograph run along the axes of its plane."""
-    (left, from_y), (right, to_y), *_ = outline.exterior.coords
+    (left, from_y), (right, to_y), *_ = photograph.exterior.coords
     turn_rad = math.atan2(to_y - from_y, right - left) % (math.pi / 2)
     return min(turn_rad, math.pi / 2 - turn_rad) < ALONG_RAD
