@@ -58,7 +58,7 @@ def tile(
     crs=None,
     licence=None,
     taken=None,
-    progress=None,
+    progress=lambda *_: None,
 ):
     """Cuts small tiles. Returns the set and the record."""
     record = tile_imagery(

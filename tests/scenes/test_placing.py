@@ -16,7 +16,7 @@ from skyproof.scenes.directions import direction_values
 from skyproof.scenes.places import RemovedVehicle
 from skyproof.scenes.sampling import sample_scenes
 from skyproof.scenes.settings import SceneSettings
-from skyproof.scenes.standing import footprint, rectangles_overlap
+from skyproof.scenes.standing import footprint
 
 GSD_M = 0.125
 SIDE_PX = 400
@@ -159,8 +159,8 @@ def test_counts_stay_between_the_limits_and_nothing_overlaps(tmp_path):
     for scene in scenes:
         spots = scene.placements
         assert max(max(abs(spot.x_m), abs(spot.y_m)) for spot in spots) <= half_m
-        rectangles = [footprint(spot, SIZES, 0.4) for spot in spots]
-        assert not any(rectangles_overlap(one, other) for one, other in combinations(rectangles, 2))
+        grounds = [footprint(spot, SIZES, 0.4) for spot in spots]
+        assert not any(one.intersects(other) for one, other in combinations(grounds, 2))
         for spot in spots:
             turn = scene.background.rotation_rad
             x = math.cos(turn) * spot.x_m - math.sin(turn) * spot.y_m

@@ -2,6 +2,7 @@
 
 import hashlib
 import math
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -11,9 +12,9 @@ from skyproof.errors import ConfigurationError
 from skyproof.scenes.background_index import BackgroundTile, save_map
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.sampling import sample_scenes
-from skyproof.scenes.scene import write_scenes
+from skyproof.scenes.scene import Placement, write_scenes
 from skyproof.scenes.settings import SceneSettings
-from skyproof.scenes.standing import rectangles_overlap
+from skyproof.scenes.standing import footprint
 
 SIZES = {"car": (4.4, 1.8, 1.5), "van": (5.6, 2.1, 2.4), "small": (3.4, 1.6, 1.4)}
 
@@ -60,7 +61,7 @@ def test_vehicles_keep_their_distance(backgrounds):
     assert pairs > 600
 
 
-def test_separating_axes_agree_with_points():
+def test_overlaps_of_footprints_agree_with_points():
     generator = torch.Generator().manual_seed(1)
     disagreements = found = 0
     for _ in range(400):
@@ -77,7 +78,11 @@ def test_separating_axes_agree_with_points():
             v = -d[:, 0] * math.sin(heading) + d[:, 1] * math.cos(heading)
             inside &= (u.abs() < length / 2) & (v.abs() < width / 2)
         found += bool(inside.any())
-        disagreements += rectangles_overlap(first, second) != bool(inside.any())
+        one, other = (
+            footprint(Placement("some", *stance), {"some": (length, width, 1.5)}, 0.0)
+            for *stance, length, width in (first, second)
+        )
+        disagreements += one.intersects(other) != bool(inside.any())
     assert 50 < found < 350
     assert disagreements <= 4, "only slivers thinner than the point grid may differ"
 
@@ -167,14 +172,8 @@ def test_parked_vehicles_stand_in_rows_without_touching(backgrounds):
         places = scene.placements
         assert 4 <= len(places) <= 8
         assert max(max(abs(each.x_m), abs(each.y_m)) for each in places) <= settings.half_m(0.125)
-        rectangles = [
-            (each.x_m, each.y_m, each.heading_rad, *SIZES[each.vehicle][:2]) for each in places
-        ]
-        assert not any(
-            rectangles_overlap(one, other)
-            for i, one in enumerate(rectangles)
-            for other in rectangles[:i]
-        )
+        grounds = [footprint(each, SIZES, 0.0) for each in places]
+        assert not any(one.intersects(other) for one, other in combinations(grounds, 2))
         axes = np.array([2 * each.heading_rad for each in places])
         # Doubled angles: nose and tail count alike.
         if np.abs(np.exp(1j * axes).mean()) < math.cos(math.radians(6)):

@@ -14,6 +14,7 @@ from typing import Any
 import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
+from torchvision import ops
 
 from skyproof.datasets.coco import (
     ANNOTATIONS,
@@ -243,11 +244,8 @@ def write_yolo(folder: Path) -> None:
     labels.mkdir()
     images = zip(dataset.ids, dataset.sizes_px, dataset.boxes, strict=True)
     for name, (width, height), boxes in images:
-        lines = []
-        for left, top, right, bottom in boxes.tolist():
-            if right > left and bottom > top:
-                centre = ((left + right) / 2 / width, (top + bottom) / 2 / height)
-                parts = (*centre, (right - left) / width, (bottom - top) / height)
-                lines.append("0 " + " ".join(f"{part:.7f}" for part in parts) + "\n")
+        seen = boxes[(boxes[:, 2:] > boxes[:, :2]).all(1)].double()
+        shares = ops.box_convert(seen, "xyxy", "cxcywh") / torch.tensor([width, height] * 2)
+        lines = ["0 " + " ".join(f"{part:.7f}" for part in row) + "\n" for row in shares.tolist()]
         (labels / f"{name}.txt").write_text("".join(lines), encoding="utf-8")
     (folder / "data.yaml").write_text(_YOLO_DATA, encoding="utf-8")

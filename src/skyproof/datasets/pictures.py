@@ -1,7 +1,8 @@
 """Single pictures that are decoded on demand, and items made ahead in a thread."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -99,17 +100,25 @@ Item = TypeVar("Item")
 Made = TypeVar("Made")
 
 
-def made_ahead(make: Callable[[Item], Made], items: Iterable[Item]) -> Iterator[Made]:
-    """Yields `make(item)` for each item in order, and makes the next one in a thread meanwhile.
+def made_ahead(
+    make: Callable[[Item], Made],
+    items: Iterable[Item],
+    threads: int = 1,
+    start: Callable[[], object] | None = None,
+) -> Generator[Made, None, None]:
+    """Yields `make(item)` for each item in order, while threads make the next ones.
 
-    At most two results exist at a time. An error of `make` is raised in place of its result.
+    At most one result per thread is kept in advance. `start` is called in each thread at first. An
+    error of `make` is raised in place of its result.
     """
-    with ThreadPoolExecutor(max_workers=1, thread_name_prefix="ahead") as maker:
-        waiting: Future[Made] | None = None
+    maker = ThreadPoolExecutor(threads, "ahead", start)
+    waiting: deque[Future[Made]] = deque()
+    try:
         for item in items:
-            upcoming = maker.submit(make, item)
-            if waiting is not None:
-                yield waiting.result()
-            waiting = upcoming
-        if waiting is not None:
-            yield waiting.result()
+            waiting.append(maker.submit(make, item))
+            if len(waiting) > threads:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+    finally:
+        maker.shutdown(cancel_futures=True)

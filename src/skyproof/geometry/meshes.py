@@ -1,7 +1,5 @@
 """Normals, edges, volume and crossings of triangle meshes."""
 
-from functools import lru_cache
-
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -54,7 +52,6 @@ def enclosed_volume_m3(vertices: _Vertices, faces: _Faces) -> Float[Tensor, " N"
     return ((torch.linalg.cross(a, b) * c).sum(-1).sum(-1) / 6).to(vertices.dtype)
 
 
-@lru_cache(maxsize=8)
 def mesh_edges(faces: _Faces) -> tuple[Int[Tensor, "E 2"], Int[Tensor, "E 2"]]:
     """Returns a closed mesh's edges and their two faces; the first one has the edge's direction."""
     directed = torch.cat((faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]))

@@ -183,7 +183,7 @@ def write_procedural_backgrounds(
     *,
     seed: int,
     gsd_m: float = 0.125,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], None] = lambda *_: None,
 ) -> BackgroundSet:
     """Draws a background set of so many tiles per split, each with its sensor.
 
@@ -224,7 +224,6 @@ def write_procedural_backgrounds(
             )
             save_tile(folder, tile, ground.image)
             tiles.append(tile)
-            if progress is not None:
-                progress(len(tiles), total)
+            progress(len(tiles), total)
     write_index(folder, gsd_m, tiles)
     return BackgroundSet.open(folder)

@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 
@@ -35,7 +36,10 @@ def read_exif(dataset: DatasetReader) -> Exif:
     """Reads EXIF data as GDAL returns them; damaged values count as not stated."""
     tags = dataset.tags()
     xmp = "".join(dataset.tags(ns="xml:XMP").values())
-    return Exif(_taken(tags), _place(tags), _gsd_m(tags, xmp, dataset.width, dataset.height))
+    taken = None
+    with suppress(KeyError, ValueError):
+        taken = datetime.strptime(tags["EXIF_DateTimeOriginal"], "%Y:%m:%d %H:%M:%S")
+    return Exif(taken, _place(tags), _gsd_m(tags, xmp, dataset.width, dataset.height))
 
 
 def exif_words(photographs: Sequence[Exif]) -> Iterator[str]:
@@ -55,13 +59,6 @@ def exif_words(photographs: Sequence[Exif]) -> Iterator[str]:
     if told:
         stated = sum(one.taken is not None or one.place is not None for one in photographs)
         yield f"By their EXIF data, {stated} of {len(photographs)} images were {', '.join(told)}"
-
-
-def _taken(tags: Mapping[str, str]) -> datetime | None:
-    try:
-        return datetime.strptime(tags["EXIF_DateTimeOriginal"], "%Y:%m:%d %H:%M:%S")
-    except (KeyError, ValueError):
-        return None
 
 
 def _place(tags: Mapping[str, str]) -> tuple[float, float] | None:

@@ -16,7 +16,3 @@ class ImageNote(str):
         note = super().__new__(cls, f"{image}: {told}")
         note.image, note.told = image, told
         return note
-
-    def __reduce__(self) -> "tuple[type[ImageNote], tuple[str, str]]":
-        # Copies are made by this.
-        return ImageNote, (self.image, self.told)

@@ -1,10 +1,9 @@
 """Scenes drawn to disk; with and without camouflage they are matched pairs (section S5.1)."""
 
 import hashlib
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -14,6 +13,7 @@ from torch import Tensor, nn
 
 from skyproof.datasets.coco import Annotation, CocoWriter
 from skyproof.datasets.dataset import write_yolo
+from skyproof.datasets.pictures import made_ahead
 from skyproof.files import finished_folder
 from skyproof.geometry.projection import project, rotate_about_vertical
 from skyproof.render.frames import Frames, Renderer
@@ -66,7 +66,7 @@ def render_dataset(
     yolo: bool = False,
     batch_size: int = 8,
     device: torch.device | str = "cpu",
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], None] = lambda *_: None,
 ) -> None:
     """Writes `images/*.png`, `annotations.json` (COCO) and `scenes.jsonl`; whole or not at all.
 
@@ -103,8 +103,7 @@ def render_dataset(
             for batch, (frames, corners) in zip(batches, drawn, strict=True):
                 _write(writer, batch, frames, corners)
                 done += len(batch)
-                if progress:
-                    progress(done, len(scenes))
+                progress(done, len(scenes))
         if yolo:
             write_yolo(partial)
 
@@ -116,26 +115,15 @@ def in_threads(
     """Yields the results of work in order, from threads that work ahead.
 
     Two threads hardly speed up one batch of small operations, but run two batches at full speed.
-    Fewer threads than cores divide the cores. At most one result per thread is kept in advance.
+    Fewer threads than cores divide the cores.
     """
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
-    share = (max(1, threads // count),)
-    pool = ThreadPoolExecutor(count, initializer=torch.set_num_threads, initargs=share)
-
-    def results() -> Iterator[Result]:
-        waiting: deque[Future[Result]] = deque()
-        for item in items:
-            waiting.append(pool.submit(work, item))
-            if len(waiting) > count:
-                yield waiting.popleft().result()
-        while waiting:
-            yield waiting.popleft().result()
-
+    start = partial(torch.set_num_threads, max(1, threads // count))
     try:
-        yield results()
+        with closing(made_ahead(work, items, count, start)) as results:
+            yield results
     finally:
-        pool.shutdown(cancel_futures=True)
         torch.set_num_threads(threads)
 
 

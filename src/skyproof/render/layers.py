@@ -47,15 +47,11 @@ class WindowLayers:
     values: Float[Tensor, "N S S C"]
 
 
-class _Topology:
+@lru_cache(maxsize=8)
+def _topology(template: Template) -> tuple[Tensor, Tensor, list[Tensor]]:
     """A template's faces, texture coordinates of their corners, and edges with their two faces."""
-
-    def __init__(self, template: Template) -> None:
-        self.faces, self.uvs = template.faces.int(), template.uvs[template.face_uvs].float()
-        self.edges = [each.int() for each in mesh_edges(template.faces)]
-
-
-_topology = lru_cache(maxsize=8)(_Topology)
+    edges = [each.int() for each in mesh_edges(template.faces)]
+    return template.faces.int(), template.uvs[template.face_uvs].float(), edges
 
 
 @dataclass(frozen=True)
@@ -70,7 +66,7 @@ class SeenBodies:
     placed: Placed
     window: Windows
     cast: Windows
-    topology: _Topology
+    edges: list[Tensor]
     screen: Float[Tensor, "N V 2"]
     sun_screen: Float[Tensor, "N V 2"]
     normals: Float[Tensor, "N V 3"]
@@ -87,7 +83,8 @@ def see_bodies(
     placed: Placed, window: Windows, cast: Windows, vehicles: VehicleBatch, settings: RenderSettings
 ) -> SeenBodies:
     """Finds what camera and sun see of vehicles, in a window for each, without their textures."""
-    topology, faces = _topology(vehicles.template), vehicles.template.faces
+    faces = vehicles.template.faces
+    own_faces, uvs, edges = _topology(vehicles.template)
     factor, sun_factor = settings.supersampling, settings.shadow_supersampling
     screen = window.samples(placed.screen, factor)
     sun_screen = cast.samples(placed.shadow_screen, sun_factor)
@@ -99,8 +96,8 @@ def see_bodies(
     levels = torch.full((len(screen), len(faces)), LEVELS, dtype=torch.int32, device=faces.device)
     mesh = struct(
         Mesh,
-        faces=topology.faces,
-        uvs=topology.uvs,
+        faces=own_faces,
+        uvs=uvs,
         normals=normals.detach(),
         screen=screen.detach(),
         depth=placed.depth.detach(),
@@ -113,7 +110,7 @@ def see_bodies(
     )
     launch(texture_levels, levels.shape, mesh, float(vehicles.texture.shape[-1]), levels)
     finest = int(levels.min())
-    return SeenBodies(placed, window, cast, topology, screen, sun_screen, normals, finest, mesh)
+    return SeenBodies(placed, window, cast, edges, screen, sun_screen, normals, finest, mesh)
 
 
 def draw_bodies(
@@ -193,8 +190,8 @@ class _DrawnBodies(torch.autograd.Function):
             to_screen, to_normals = torch.zeros_like(seen.screen), torch.zeros_like(seen.normals)
             given = (mesh, paint, factor, gradient, to_screen, to_normals)
             rows(shade_back_to_corners, gradient.shape, *given)
-            given = (False, *seen.topology.edges, factor, gradient, to_screen)
-            dim = (len(gradient), len(seen.topology.edges[0]))
+            given = (False, *seen.edges, factor, gradient, to_screen)
+            dim = (len(gradient), len(seen.edges[0]))
             launch(silhouettes_back, dim, mesh, paint, mesh.screen, mesh.keys, *given)
         return to_shown, to_screen, to_normals, None, None, None, None
 
@@ -225,8 +222,8 @@ class _DrawnShadows(torch.autograd.Function):
         to_cast, to_box = gradient.new_zeros(*cast.shape, 4), gradient.new_zeros(len(cast), 5)
         rows(shadows_back, cast.shape, shades, cast, gradient, to_cast, to_box)
         to_screen = torch.zeros_like(seen.sun_screen)
-        given = (True, *seen.topology.edges, factor, to_cast, to_screen)
-        dim = (len(gradient), len(seen.topology.edges[0]))
+        given = (True, *seen.edges, factor, to_cast, to_screen)
+        dim = (len(gradient), len(seen.edges[0]))
         launch(silhouettes_back, dim, mesh, Paint(), mesh.sun_screen, mesh.sun_keys, *given)
         to_extent = gradient.new_zeros(len(cast), 2, 3)
         to_extent[:, 0, :2], to_extent[:, 1] = to_box[:, :2], to_box[:, 2:]

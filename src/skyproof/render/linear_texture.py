@@ -41,8 +41,7 @@ class LinearTexture:
         if own is not None and masks is not None:
             count = len(masks)
             values |= {"own": own.expand(count, -1, -1, -1), "masks": masks}
-        values |= {name: tables(device)[name] for name in ("reflected", "slopes")}
-        values["of_bytes"] = _of_bytes(device)
+        values |= {name: tables(device)[name] for name in ("reflected", "slopes", "of_bytes")}
         self._cloth = struct(Cloth, painted=painted, masked=masks is not None, **values)
         sides = [side >> level for level in range(finest, LEVELS)]
         sizes = [count * each**2 for each in sides]
@@ -69,21 +68,19 @@ class LinearTexture:
 
 
 @cache
-def tables(device: torch.device) -> dict[str, Float[Tensor, "1024 2"]]:
-    """Returns linear light, reflectance and its slope as piecewise linear functions of sRGB."""
+def tables(device: torch.device) -> dict[str, Tensor]:
+    """Returns linear light, reflectance and its slope as piecewise linear functions of sRGB.
+
+    `of_bytes` is the reflectance of each sRGB byte.
+    """
     x = torch.arange(TABLE + 1, dtype=torch.float64) / TABLE
     with torch.enable_grad():
         linear = srgb_to_linear(x.requires_grad_())
         reflected = reflectance(linear)
         (slopes,) = torch.autograd.grad(reflected.sum(), x)
     curves = {"linear": linear.detach(), "reflected": reflected.detach(), "slopes": slopes}
-    return {
+    pieces = {
         name: torch.stack((curve[:-1], curve.diff()), dim=1).float().to(device)
         for name, curve in curves.items()
     }
-
-
-@cache
-def _of_bytes(device: torch.device) -> Float[Tensor, " 256"]:
-    """Returns the reflectance of each sRGB byte."""
-    return reflectance(srgb_to_linear(torch.arange(256, dtype=torch.float32) / 255)).to(device)
+    return pieces | {"of_bytes": reflectance(srgb_to_linear(torch.arange(256) / 255)).to(device)}

@@ -1,23 +1,24 @@
 """Shadows: what the sun does not reach, and the sky that vehicles hide from the ground beside."""
 
 import torch
+import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
+from skyproof.geometry.projection import project
 from skyproof.render.lighting import SceneLights
 from skyproof.render.placed import Placed, Windows
 
 _REACH_HEIGHTS = 1.0
 
 
+@torch.no_grad()
 def surrounded(placed: Placed) -> Float[Tensor, "N 2 2"]:
     """Returns two corners, in image pixels, of the ground that each contact shadow falls on."""
     reach_m = _REACH_HEIGHTS * placed.extent[:, 1, 2:]
-    low = placed.vertices[..., :2].detach().amin(1) - reach_m.detach()
-    high = placed.vertices[..., :2].detach().amax(1) + reach_m.detach()
-    corners = torch.stack((low, high), dim=1)
-    flip = corners.new_tensor([1.0, -1.0]) / placed.gsd_m
-    return corners * flip + placed.size_px / 2
+    low, high = placed.vertices.amin(1)[:, :2] - reach_m, placed.vertices.amax(1)[:, :2] + reach_m
+    corners = F.pad(torch.stack((low, high), dim=1), (0, 1))
+    return project(corners, placed.sun, placed.gsd_m, placed.size_px)[0]
 
 
 @torch.no_grad()

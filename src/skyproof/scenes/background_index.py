@@ -114,10 +114,7 @@ def save_tile(folder: Path, tile: BackgroundTile, image: UInt8[Tensor, "3 H W"])
 
 
 def save_map(
-    folder: Path,
-    kind: MapKind,
-    tile_id: str,
-    values: UInt8[np.ndarray, "H W"],
+    folder: Path, kind: MapKind, tile_id: str, values: UInt8[np.ndarray, "H W"]
 ) -> str | None:
     """Writes one of a tile's maps and returns its file; a map of zeros is not written (None)."""
     if not values.any():

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
+from shapely import Polygon
 
 from skyproof.errors import ConfigurationError
 from skyproof.scenes.background_index import BackgroundTile
@@ -13,7 +14,7 @@ from skyproof.scenes.backgrounds import BackgroundSet, read_map
 from skyproof.scenes.places import RemovedVehicle
 from skyproof.scenes.scene import BackgroundWindow, Placement
 from skyproof.scenes.settings import SceneSettings
-from skyproof.scenes.standing import Rectangle, Sizes, footprint, rectangles_overlap
+from skyproof.scenes.standing import Sizes, footprint
 
 SHIFT_M = 0.3
 TURN_RAD = math.radians(3)
@@ -144,15 +145,15 @@ def _drivable_places(draw: SceneDraw, window: BackgroundWindow) -> list[Place]:
 
 def _fill(draw: SceneDraw, places: Sequence[Place], number: int) -> tuple[Placement, ...]:
     """Puts at most `number` vehicles on places, in random order."""
-    taken: dict[Placement, Rectangle] = {}
+    taken: dict[Placement, Polygon] = {}
     for index in torch.randperm(len(places), generator=draw.generator).tolist():
         if len(taken) == number:
             break
         for placement in _draws(draw, places[index]):
-            rectangle = footprint(placement, draw.sizes_m, draw.settings.gap_m)
-            free = not any(rectangles_overlap(rectangle, other) for other in taken.values())
+            ground = footprint(placement, draw.sizes_m, draw.settings.gap_m)
+            free = not any(map(ground.intersects, taken.values()))
             if draw.inside(placement) and free:
-                taken[placement] = rectangle
+                taken[placement] = ground
                 break
     return tuple(taken)
 

@@ -12,7 +12,7 @@ from skyproof.scenes.light import SunEstimate
 from skyproof.scenes.placing import SceneDraw, place_vehicles
 from skyproof.scenes.scene import Camera, Placement, Scene, Sun
 from skyproof.scenes.settings import SceneSettings
-from skyproof.scenes.standing import Sizes, footprint, rectangles_overlap, standing
+from skyproof.scenes.standing import Sizes, footprint, standing
 from skyproof.scenes.weather import CONDITIONS, LOW_SUN_ELEVATION_RAD
 
 TRIES = 2000
@@ -125,8 +125,8 @@ def _sample_placements(draw: SceneDraw) -> tuple[Placement, ...]:
             Placement(name, (2 * x - 1) * half_m, (2 * y - 1) * half_m, 2 * math.pi * turn)
             for name, (x, y, turn) in zip(chosen, draw.uniforms(number, 3), strict=True)
         )
-        rectangles = [footprint(each, draw.sizes_m, settings.gap_m) for each in placements]
-        if not any(itertools.starmap(rectangles_overlap, itertools.combinations(rectangles, 2))):
+        grounds = [footprint(each, draw.sizes_m, settings.gap_m) for each in placements]
+        if not any(one.intersects(other) for one, other in itertools.combinations(grounds, 2)):
             return placements
     raise ConfigurationError(
         f"No room was found for {number} vehicles in an image of {settings.size_px} px; "

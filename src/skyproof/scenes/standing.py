@@ -1,10 +1,12 @@
 """How vehicles stand: apart from each other, in shadows, beneath crowns and roofs."""
 
+import cmath
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import torch
+from shapely import Polygon
 
 from skyproof.scenes.backgrounds import BackgroundSet, read_map
 from skyproof.scenes.scene import BackgroundWindow, Placement
@@ -14,36 +16,17 @@ _ALONG, _ACROSS = 9, 5
 
 _ON_TOP_FROM = 0.5
 
-Rectangle = tuple[float, float, float, float, float]
-"""Centre x, centre y, heading, length, width; metres and radians."""
-
 Sizes = Mapping[str, tuple[float, float, float]]
 """Per vehicle id its length, width and height in metres."""
 
 
-def footprint(placement: Placement, vehicle_sizes_m: Sizes, gap_m: float) -> Rectangle:
+def footprint(placement: Placement, vehicle_sizes_m: Sizes, gap_m: float) -> Polygon:
     """Returns the ground below a vehicle, with half of the gap to its neighbours on every side."""
     length_m, width_m, _ = vehicle_sizes_m[placement.vehicle]
-    return placement.x_m, placement.y_m, placement.heading_rad, length_m + gap_m, width_m + gap_m
-
-
-def rectangles_overlap(first: Rectangle, second: Rectangle) -> bool:
-    """Whether two turned rectangles share area, by the separating axis test."""
-    dx = second[0] - first[0]
-    dy = second[1] - first[1]
-    for heading in (first[2], second[2]):
-        for axis_rad in (heading, heading + math.pi / 2):
-            distance = abs(dx * math.cos(axis_rad) + dy * math.sin(axis_rad))
-            if distance >= _half_extent(first, axis_rad) + _half_extent(second, axis_rad):
-                return False
-    return True
-
-
-def _half_extent(rectangle: Rectangle, axis_rad: float) -> float:
-    _, _, heading, length, width = rectangle
-    along = length * abs(math.cos(axis_rad - heading))
-    across = width * abs(math.sin(axis_rad - heading))
-    return (along + across) / 2
+    middle, nose = complex(placement.x_m, placement.y_m), cmath.rect(0.5, placement.heading_rad)
+    ahead, left = (length_m + gap_m) * nose, (width_m + gap_m) * 1j * nose
+    corners = (ahead + left, ahead - left, -ahead - left, left - ahead)
+    return Polygon([((middle + each).real, (middle + each).imag) for each in corners])
 
 
 def standing(
@@ -69,10 +52,11 @@ def standing(
     along, across = (each.flatten() for each in torch.meshgrid(along, across, indexing="ij"))
     found = []
     for placement in placements:
-        x_m, y_m, heading_rad, length_m, width_m = footprint(placement, vehicle_sizes_m, 0.0)
-        cosine, sine = math.cos(heading_rad), math.sin(heading_rad)
-        east_px = (x_m + cosine * length_m * along - sine * width_m * across) / backgrounds.gsd_m
-        north_px = (y_m + sine * length_m * along + cosine * width_m * across) / backgrounds.gsd_m
+        length_m, width_m, _ = vehicle_sizes_m[placement.vehicle]
+        cosine, sine = math.cos(placement.heading_rad), math.sin(placement.heading_rad)
+        east_m = placement.x_m + cosine * length_m * along - sine * width_m * across
+        north_m = placement.y_m + sine * length_m * along + cosine * width_m * across
+        east_px, north_px = east_m / backgrounds.gsd_m, north_m / backgrounds.gsd_m
         shares = []
         for values in (shade, cover):
             mean = 0.0

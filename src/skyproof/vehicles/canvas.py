@@ -7,7 +7,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from skyproof.vehicles.bodies import Body
-from skyproof.vehicles.template import COLUMNS, RINGS, TOPOLOGY_BELT, TOPOLOGY_SILL, column_u, row_v
+from skyproof.vehicles.template import COLUMNS, TOPOLOGY_BELT, TOPOLOGY_SILL, column_u, row_v
+from skyproof.vehicles.texels import is_floor
 from skyproof.vehicles.vehicle import TEXTURE_SIZE, Part
 
 Mask = Bool[Tensor, "512 256"]
@@ -25,6 +26,9 @@ class TextureCanvas:
         self.behind = half_length - x  # distance behind the nose
         self.ahead = x + half_length  # distance ahead of the tail
         self.column = column[None]  # `[1, 256]` column coordinate, 0 to 16
+        self.upper = self.column > TOPOLOGY_BELT  # above the shoulder
+        self.side = (self.column > TOPOLOGY_SILL) & ~self.upper  # the lower side
+        self.floor = is_floor(self.column, self.z, body.dimensions.clearance)
         # `[512, 1]`: distance of the texel's cross-section behind the nose, shoulder and roof rail.
         self.station, self.belt, self.rail_z, self.rail_y = (
             (rows @ row.float())[:, None]
@@ -32,24 +36,6 @@ class TextureCanvas:
         )
         self.colour: Float[Tensor, "3 512 256"] = paint.view(3, 1, 1).expand(3, *x.shape).clone()
         self.parts = torch.full(x.shape, int(Part.BODY), dtype=torch.uint8)
-
-    @property
-    def upper(self) -> Tensor:
-        """Returns the texels above the shoulder."""
-        return self.column > TOPOLOGY_BELT
-
-    @property
-    def floor(self) -> Tensor:
-        """Returns the underside's texels, except where its columns run up the end faces."""
-        ring = torch.arange(TEXTURE_SIZE)[:, None] / TEXTURE_SIZE * (RINGS + 1)
-        end_face = (ring < 3) | (ring > RINGS - 2)
-        high = self.z > self.body.dimensions.clearance + 0.12
-        return (self.column <= TOPOLOGY_SILL) & ~(end_face & high)
-
-    @property
-    def side(self) -> Tensor:
-        """Returns the texels of the lower side."""
-        return (self.column > TOPOLOGY_SILL) & (self.column <= TOPOLOGY_BELT)
 
     def fill(self, where: Mask, colour: Colour, part: Part) -> None:
         self.colour = torch.where(where, torch.as_tensor(colour).view(3, 1, 1), self.colour)

@@ -200,7 +200,7 @@ def sample_fleet(
     settings: FleetSettings,
     *,
     generator: torch.Generator,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], None] = lambda *_: None,
     worn: Float[Tensor, "P 3"] | None = None,
 ) -> Fleet:
     """Draws a fleet: body types by weight, then dimensions, paint and trim of each vehicle.
@@ -219,8 +219,7 @@ def sample_fleet(
         body = build_body(sample_dimensions(types[choice], generator=generator))
         maps = paint_vehicle(body, types[choice], coat, paint=paint, generator=generator)
         drawn.append((body.vertices, *maps))
-        if progress is not None:
-            progress(len(drawn), settings.count)
+        progress(len(drawn), settings.count)
     sources: dict[str, dict[str, str]] = {
         name: {"coat": coat} for name, coat in zip(ids, coats, strict=True) if coat != _USUAL
     }

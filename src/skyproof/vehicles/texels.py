@@ -74,6 +74,15 @@ def texel_regions(vehicles: VehicleBatch) -> dict[str, Bool[Tensor, "N 512 512"]
     }
 
 
+def is_floor(
+    column: Tensor, height_m: Float[Tensor, "512 W"], clearance_m: float
+) -> Bool[Tensor, "512 W"]:
+    """Returns the underside's texels, except where its columns run up the end faces."""
+    ring = torch.arange(TEXTURE_SIZE)[:, None] / TEXTURE_SIZE * (RINGS + 1)
+    end_face = (ring < 3) | (ring > RINGS - 2)
+    return (column <= TOPOLOGY_SILL) & ~(end_face & (height_m > clearance_m + 0.12))
+
+
 def _place_in_cells() -> tuple[Int[Tensor, " 512"], Float[Tensor, " 512"]]:
     """Returns the template column that holds the centre of each texel column, and where in it."""
     u = column_u()

@@ -83,7 +83,7 @@ class Cleared:
 
 @dataclass(frozen=True)
 class _Found:
-    """The boxes to remove from a tile, and the vehicles on it.
+    """The boxes to remove from a tile (`labelled` and `detected`), and the vehicles on it.
 
     `vehicles` are the boxes of labelled vehicles, None where nobody labelled, and `places` are
     where they stood. `seen` adds the detections, which may not be vehicles: they help to
@@ -96,10 +96,6 @@ class _Found:
     places: list[RemovedVehicle]
     seen: list[RemovedVehicle]
     profiles: Float[Tensor, "k directions layers"]
-
-    @property
-    def boxes(self) -> Boxes:
-        return torch.cat([self.labelled, self.detected])
 
 
 @dataclass(frozen=True)
@@ -119,7 +115,7 @@ def clear_backgrounds(
     fill: Fill = fill_ground,
     finder: VehicleFinder | None = None,
     checker: VehicleFinder | None = None,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Callable[[str, int, int], None] = lambda *_: None,
 ) -> dict[str, Any]:
     """Writes a tiled folder of the same tiles without their vehicles, and returns its record.
 
@@ -154,8 +150,7 @@ def clear_backgrounds(
         for done, (tile, one) in enumerate(zip(tiles, every, strict=True), start=1):
             found[tile.id] = one
             profiles[picture_of(tile)].append(one.profiles)
-            if progress is not None:
-                progress("find", done, len(tiles))
+            progress("find", done, len(tiles))
     shadows = {picture: estimate_shadow(measured) for picture, measured in profiles.items()}
     lights = measured_lights(backgrounds, tiles, {name: one.seen for name, one in found.items()})
 
@@ -176,8 +171,7 @@ def clear_backgrounds(
                 figures.append(write_figure(out / "sheets", len(figures) + 1, shown))
             if stored is not None:
                 kept.append(stored)
-            if progress is not None:
-                progress("clear", done, len(tiles))
+            progress("clear", done, len(tiles))
     write_page(out / "sheets", figures)
     record = _record(clearing, rows, shadows) | lights_record(lights)
     if not kept:
@@ -235,7 +229,7 @@ def _clear_tile(
     row = Cleared(tile.id, tile.split, len(found.labelled), len(found.detected), len(found.places))
     before = image = clearing.backgrounds.pixels(tile.id)
     mask = torch.zeros(image.shape[1:], dtype=torch.bool)
-    boxes, remaining = found.boxes, torch.zeros(0, 4)
+    boxes, remaining = torch.cat([found.labelled, found.detected]), torch.zeros(0, 4)
     while True:
         round_mask = vehicle_mask(mask.shape, boxes, shadow, gsd_m=gsd_m, margin_m=MARGIN_M)
         mask |= round_mask

@@ -1,5 +1,6 @@
 """Lays the grids that tiles are cut on."""
 
+import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -9,6 +10,7 @@ import numpy as np
 from affine import Affine
 from rasterio.crs import CRS
 from scipy.cluster.hierarchy import DisjointSet
+from shapely import Polygon
 
 from skyproof.errors import ImageryError
 from skyproof.imagery.notes import ImageNote
@@ -20,7 +22,7 @@ from skyproof.imagery.tiles.georeference import (
     to_reference_system,
 )
 from skyproof.imagery.tiles.sources import Source
-from skyproof.imagery.tiles.whole_cells import Corners, corners_of, shown_whole
+from skyproof.imagery.tiles.whole_cells import corners_of, shown_whole
 from skyproof.ranges import is_name
 from skyproof.scenes.backgrounds import room_to_turn_rad
 from skyproof.words import counted, named, span
@@ -81,7 +83,7 @@ class Cell:
 class Grid:
     """A grid in true metres from the north-west corner of cell (0, 0), over numbered sources.
 
-    Photographs in one plane have `corners`: each cell comes whole from one of them.
+    Photographs in one plane have `outlines`: each cell comes whole from one of them.
     """
 
     name: str
@@ -91,7 +93,7 @@ class Grid:
     size_px: int
     gsd_m: float
     extents: Mapping[int, Extent]
-    corners: Mapping[int, Corners] = field(default_factory=dict)
+    outlines: Mapping[int, Polygon] = field(default_factory=dict)
 
     @property
     def side_m(self) -> float:
@@ -112,7 +114,7 @@ class Grid:
 
     def whole_cells(self) -> int:
         """Counts the cells that single sources fill, or else those that all fill together."""
-        if self.corners:
+        if self.outlines:
             return len(self.filled)
         ranges = [self.places(extent, whole=True) for extent in self.extents.values()]
         alone = sum(len(columns) * len(rows) for columns, rows in ranges)
@@ -129,22 +131,20 @@ class Grid:
                 f"px, more than {MOST_CELLS:,}; give fewer or smaller images, or larger tiles "
                 "(--tiling.size-px)."
             )
-        if self.corners:
+        if self.outlines:
             corner, slack_m = (self.left_m, self.top_m), 0.5 * self.gsd_m
-            return shown_whole(self.corners, places, corner, self.side_m, slack_m)
+            return shown_whole(self.outlines, places, corner, self.side_m, slack_m)
         side_m = self.side_m
         seen: dict[tuple[int, int], list[int]] = {}
         covered: dict[tuple[int, int], float] = {}
         for number, (columns, rows) in places.items():
-            extent = self.extents[number]
-            for row in rows:
-                top = self.top_m - row * side_m
-                height = min(top, extent[3]) - max(top - side_m, extent[1])
-                for column in columns:
-                    left = self.left_m + column * side_m
-                    width = min(left + side_m, extent[2]) - max(left, extent[0])
-                    seen.setdefault((row, column), []).append(number)
-                    covered[row, column] = covered.get((row, column), 0.0) + width * height
+            left, bottom, right, top = self.extents[number]
+            for row, column in itertools.product(rows, columns):
+                west, north = self.left_m + column * side_m, self.top_m - row * side_m
+                width = min(west + side_m, right) - max(west, left)
+                height = min(north, top) - max(north - side_m, bottom)
+                seen.setdefault((row, column), []).append(number)
+                covered[row, column] = covered.get((row, column), 0.0) + width * height
         enough = (FULL_SHARE - 0.005) * side_m**2
         return {place: seen[place] for place in sorted(seen) if covered[place] >= enough}
 
@@ -243,7 +243,7 @@ def _laid(grid: Grid, size_px: int, minimum_px: int) -> Grid:
         narrow = min(right - left, top - bottom) < GLOBAL_FROM_TILES * size_px * grid.gsd_m
         left_m, top_m = (left, top) if grid.crs is None or narrow else (0.0, 0.0)
         grid = replace(grid, left_m=left_m, top_m=top_m, size_px=size_px)
-        if grid.corners:
+        if grid.outlines:
             grid = max(_from_corners(grid), key=Grid.whole_cells)
         if size_px <= minimum_px or grid.whole_cells():
             return grid

@@ -117,8 +117,7 @@ class PlacedLabels:
                     bare.append(self._sources[number].path.name)
                 inside |= in_source
             for label, original in zip(moved, labels.labels, strict=True):
-                if math.isfinite(sum(label.middle)):
-                    self._add(name, _Placed(label, None, original.is_oriented))
+                self._add(name, _Placed(label, None, original.is_oriented))
         if len(inside) and not inside.any():
             raise ImageryError(
                 f"None of the {len(inside)} labels of {path} lies in the imagery; check their "

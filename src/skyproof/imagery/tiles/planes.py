@@ -53,7 +53,7 @@ def inspect_imagery(
     paths: Sequence[Path],
     settings: SourceSettings,
     labels: Labels | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], None] = lambda *_: None,
 ) -> list[Source]:
     """Finds out how to read images (`inspect_sources`), and which show the same ground.
 
@@ -65,7 +65,7 @@ def inspect_imagery(
     alone = [i for i, source in enumerate(sources) if source.georeference.crs is None]
     if len(alone) < 2:
         return sources
-    progress = progress if len(alone) >= MANY else None
+    progress = progress if len(alone) >= MANY else lambda *_: None
     usual_m = median(sources[i].smaller_side_m for i in alone) / COARSE_PX
     views = []
     with SourceReader() as reader, ThreadPoolExecutor(torch.get_num_threads()) as pool:
@@ -74,11 +74,8 @@ def inspect_imagery(
         pictures = (_coarse_picture(sources[i], reader, pixel_m, labels) for i in alone)
         for number, view in enumerate(pool.map(lambda each: CoarseView.of(*each), pictures), 1):
             views.append(dataclasses.replace(view, stood=sources[alone[number - 1]].exif.place))
-            if progress is not None:
-                progress(number, 2 * len(alone))
-    pairs = find_pairs(
-        views, None if progress is None else lambda done, every: progress(every + done, 2 * every)
-    )
+            progress(number, 2 * len(alone))
+    pairs = find_pairs(views, lambda done, every: progress(every + done, 2 * every))
     poses, groups = _poses(len(views), pairs)
     shared = list(sources)
     neighbours = shared_ground.MOST_NEIGHBOURS

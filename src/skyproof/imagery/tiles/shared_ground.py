@@ -96,7 +96,7 @@ class PhotographPair:
 
 
 def find_pairs(
-    views: Sequence[CoarseView], progress: Callable[[int, int], None] | None = None
+    views: Sequence[CoarseView], progress: Callable[[int, int], None] = lambda *_: None
 ) -> list[PhotographPair]:
     """Finds pairs that show the same ground: enough to join all that do, and to check each other.
 
@@ -105,14 +105,14 @@ def find_pairs(
     joined = DisjointSet(range(len(views)))
     degree = [0] * len(views)
     found: list[PhotographPair] = []
-    for matches in sorted(_matches(views, progress), key=lambda each: -len(each.points)):
-        first, second = matches.first, matches.second
+    matched = sorted(_matches(views, progress), key=lambda each: -len(each[2]))
+    for first, second, points, partners in matched:
         enough = min(degree[first], degree[second]) >= ENOUGH_PAIRS
         if enough and joined.connected(first, second):
             continue
         if _far_apart(views[first], views[second]):
             continue
-        pair = _compared(views[first], views[second], matches)
+        pair = _compared(views, first, second, points, partners)
         if pair is not None:
             found.append(pair)
             degree[first] += 1
@@ -130,20 +130,10 @@ def _far_apart(one: CoarseView, other: CoarseView) -> bool:
     return apart_m > OBLIQUE_M + diagonals_m
 
 
-@dataclass(frozen=True)
-class _Matches:
-    """Points of two photographs that look alike, by number, the clearest first."""
-
-    first: int
-    second: int
-    points: Numbers
-    partners: Numbers
-
-
 def _matches(
-    views: Sequence[CoarseView], progress: Callable[[int, int], None] | None
-) -> Iterator[_Matches]:
-    """Yields the matches of all photographs that have enough of them.
+    views: Sequence[CoarseView], progress: Callable[[int, int], None]
+) -> Iterator[tuple[int, int, Numbers, Numbers]]:
+    """Yields two photographs and their points that look alike, by number, the clearest first.
 
     Each of two points has to be the nearest of the other, and clearly so.
     """
@@ -170,13 +160,15 @@ def _matches(
                 points = matched[number].nonzero()[:, 0]
                 points = points[ratio[number, points].argsort(stable=True)[:MOST_MATCHES]]
                 partners = partner[number, points]
-                yield _Matches(first, start + number, points.numpy(), partners.numpy())
-        if progress is not None:
-            progress(first + 1, len(views))
+                yield first, start + number, points.numpy(), partners.numpy()
+        progress(first + 1, len(views))
 
 
-def _compared(one: CoarseView, two: CoarseView, matches: _Matches) -> PhotographPair | None:
-    found = _similarity(one, two, matches.points, matches.partners)
+def _compared(
+    views: Sequence[CoarseView], first: int, second: int, points: Numbers, partners: Numbers
+) -> PhotographPair | None:
+    one, two = views[first], views[second]
+    found = _similarity(one, two, points, partners)
     if found is None:
         return None
     turn, shift, agreeing = found
@@ -185,7 +177,7 @@ def _compared(one: CoarseView, two: CoarseView, matches: _Matches) -> Photograph
     places = agreeing * two.pixel_m
     middle, reach = places.mean(), places.std()
     ends = complex(middle - reach), complex(middle + reach)
-    return PhotographPair(matches.first, matches.second, turn, shift, ends)
+    return PhotographPair(first, second, turn, shift, ends)
 
 
 def _similarity(

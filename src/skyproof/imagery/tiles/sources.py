@@ -73,12 +73,6 @@ class Source:
     collars: tuple[Collar, ...] = ()
 
     @property
-    def stored_size_px(self) -> tuple[int, int]:
-        """Width and height of the pixels as they are stored."""
-        size = self.width_px, self.height_px
-        return size if self.stored.b == 0 else size[::-1]
-
-    @property
     def smaller_side_m(self) -> float:
         across_m, down_m = self.georeference.gsd_m
         return min(self.width_px * across_m, self.height_px * down_m)

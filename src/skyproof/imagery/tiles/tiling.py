@@ -99,7 +99,7 @@ def tile_imagery(
     source_settings: SourceSettings | None = None,
     labels: tuple[Labels, LabelSettings] | None = None,
     sources: Sequence[Source] | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], None] = lambda *_: None,
 ) -> TilingRecord:
     """Cuts orthophotos into a background set, and with labels into a dataset per split.
 
@@ -136,8 +136,7 @@ def tile_imagery(
             if image is not None:
                 tile, annotations[cell.id] = _cut_tile(folder, cell, image, sources, placed)
                 tiles.append(dataclasses.replace(tile, flight=flights[int(image.owner.max())]))
-            if progress is not None:
-                progress(done, len(cells))
+            progress(done, len(cells))
     # Too little imagery is refused before anything else is written.
     refuse_too_few(len(tiles), settings)
     splits, blocks_m = assign_splits(
@@ -162,7 +161,7 @@ def tile_imagery(
         notes=notes,
     )
     write_ground_index(folder, tiles, cells)
-    write_json(folder / "tiling.json", dataclasses.asdict(record))
+    write_json(folder / "tiling.json", vars(record))
     # The index comes last: a folder with one is whole.
     write_index(folder, settings.gsd_m, tiles, sensor)
     return record

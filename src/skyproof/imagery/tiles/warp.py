@@ -150,7 +150,8 @@ def _window(
     inverse = ~(source.georeference.transform * source.stored)
     pixels = np.array([inverse * place for place in places])
     low, high = pixels.min(0), pixels.max(0)
-    size_px = np.array(source.stored_size_px)
+    upright_px = source.width_px, source.height_px
+    size_px = np.array(upright_px[::-1] if source.stored.b else upright_px)
     inside = bool((low >= -_TINY_PX).all() and (high <= size_px + _TINY_PX).all())
     first = np.maximum(0, np.floor(low).astype(int) - margin_px)
     count = np.minimum(size_px, np.ceil(high).astype(int) + margin_px) - first

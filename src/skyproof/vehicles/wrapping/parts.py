@@ -8,7 +8,8 @@ from jaxtyping import Bool, Float, Int, UInt8
 from scipy.ndimage import binary_dilation, binary_erosion, label, uniform_filter
 
 from skyproof.geometry.colour import srgb_to_cielab
-from skyproof.vehicles.template import COLUMNS, RINGS, TOPOLOGY_BELT, TOPOLOGY_SILL, column_u
+from skyproof.vehicles.template import COLUMNS, TOPOLOGY_BELT, column_u
+from skyproof.vehicles.texels import is_floor
 from skyproof.vehicles.vehicle import TEXTURE_SIZE, Part
 from skyproof.vehicles.wrapping.baking import Texels
 from skyproof.vehicles.wrapping.meshes import SourceMesh
@@ -53,12 +54,7 @@ def name_part(name: str) -> Part | None:
 
 
 def label_parts(
-    mesh: SourceMesh,
-    texels: Texels,
-    wrapping: Wrapping,
-    plain: _Mask,
-    *,
-    masked: bool,
+    mesh: SourceMesh, texels: Texels, wrapping: Wrapping, plain: _Mask, *, masked: bool
 ) -> tuple[UInt8[np.ndarray, "512 512"], dict[str, float], list[str]]:
     """Labels every texel.
 
@@ -101,7 +97,8 @@ def label_parts(
     outwards = texels.normals[..., 1] * np.sign(y) > -0.3
     at_windows = (z > window_z) & (texels.normals[..., 2] < 0.975) & outwards
     other[at_windows] = Part.GLASS
-    floor = _floor(z, wrapping)
+    clearance_m = float(np.median(wrapping.hull.low))
+    floor = is_floor(torch.from_numpy(_column()), torch.from_numpy(z), clearance_m).numpy()
     if masked:
         other[at_end & (z < window_z + 0.15) & (bright | red) & ~plain] = Part.LIGHT
     else:
@@ -161,14 +158,6 @@ def _column() -> Float[np.ndarray, " 512"]:
     centre = (np.arange(TEXTURE_SIZE) + 0.5) / TEXTURE_SIZE
     column = np.interp(centre, column_u().numpy(), np.arange(COLUMNS + 1))
     return np.minimum(column, COLUMNS - column)
-
-
-def _floor(z: Float[np.ndarray, "512 512"], wrapping: Wrapping) -> _Mask:
-    """Returns the underside's texels, except where its columns run up the end faces."""
-    ring = np.arange(TEXTURE_SIZE)[:, None] / TEXTURE_SIZE * (RINGS + 1)
-    end_face = (ring < 3) | (ring > RINGS - 2)
-    clearance = float(np.median(wrapping.hull.low))
-    return (_column() <= TOPOLOGY_SILL)[None] & ~(end_face & (z > clearance + 0.12))
 
 
 def _wheels(wrapping: Wrapping, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> _Mask:

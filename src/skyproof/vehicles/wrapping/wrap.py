@@ -48,12 +48,7 @@ def wrap_mesh(
     forward: str | None = None,
     paintable: Path | None = None,
 ) -> WrappedVehicle:
-    """Wraps one mesh file.
-
-    Args:
-        scale, up, forward: as in `orient`.
-        paintable: picture on the mesh's own UVs, bright for paint; the default is the textures'
-            alpha, if it varies.
+    """Wraps one mesh file, as `WrapSettings` say; a texture's alpha counts only if it varies.
 
     Raises:
         ConfigurationError: unreadable, no triangles, not a vehicle's size, or axes that do not fit.
