@@ -168,7 +168,7 @@ def _network(
             known = network.classes
         elif "anchors" in blueprint.architecture:
             known = int(blueprint.architecture.get("nc", 0))
-            network = AnchorDetector(blueprint.architecture, blueprint.vehicle_classes, "brought")
+            network = AnchorDetector(blueprint.architecture, blueprint.vehicle_classes)
         else:
             network = YoloNetwork(blueprint.architecture, blueprint.vehicle_classes)
             known = int(network.model.model[-1].nc)
