@@ -24,7 +24,7 @@ from skyproof.scenes.light import Light
 from skyproof.scenes.scene import Scene, Sun
 from skyproof.vehicles.vehicle import VehicleBatch
 
-_WORKER = Path(__file__).with_name("worker.py")
+WORKER = Path(__file__).with_name("worker.py")
 # Reach of the ground that sends noticeable light to a crop's vehicles.
 _GROUND_BORDER_M = 2.0
 _SUN_DIAMETER_RAD = math.radians(0.53)
@@ -179,7 +179,7 @@ def crop_jobs(
 @cache
 def _worker_hash() -> "hashlib._Hash":
     """The hash of the worker's text, read once: every job's digest begins with it."""
-    return hashlib.sha256(_WORKER.read_bytes())
+    return hashlib.sha256(WORKER.read_bytes())
 
 
 def _shown(srgb: Float[Tensor, "*S"]) -> np.ndarray:

@@ -15,12 +15,11 @@ import msgspec
 import numpy as np
 
 from skyproof.cycles.blender import Blender, find_blender, worker_environment
-from skyproof.cycles.jobs import Job
+from skyproof.cycles.jobs import WORKER, Job
 from skyproof.cycles.settings import Rendering
 from skyproof.errors import ConfigurationError, RunFolderError
 from skyproof.files import write_bytes
 
-_WORKER = Path(__file__).with_name("worker.py")
 _MARK = "skyproof-worker "
 _TRIES = 2
 _LAST_LINES = 3
@@ -142,7 +141,7 @@ class _Process:
     def __init__(self, blender: Blender, scratch: Path, number: int) -> None:
         self.job = scratch / f"{number}.npz"
         self.process: subprocess.Popen[str] | None = None
-        self._command = blender.command(_WORKER, str(scratch))
+        self._command = blender.command(WORKER, str(scratch))
         self._environment = worker_environment(dict(os.environ), scratch)
         self._log = scratch / f"{number}.log"
         self._stopped = False
