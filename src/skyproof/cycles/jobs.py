@@ -6,7 +6,6 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -90,7 +89,7 @@ class Job:
 
     def digest(self, blender_version: str) -> str:
         """Returns a name for the result, which also depends on the worker and Blender's version."""
-        total = _worker_hash().copy()
+        total = hashlib.sha256(WORKER.read_bytes())
         total.update(json.dumps([blender_version, self.numbers]).encode())
         for name, values in self.arrays.items():
             total.update(f"{name} {values.dtype} {values.shape}".encode())
@@ -174,12 +173,6 @@ def crop_jobs(
             name = f"vehicle {number + 1} of {scene.id}"
             jobs.append(Job(name, index, (left, top, right - left, bottom - top), numbers, arrays))
     return jobs
-
-
-@cache
-def _worker_hash() -> "hashlib._Hash":
-    """The hash of the worker's text, read once: every job's digest begins with it."""
-    return hashlib.sha256(WORKER.read_bytes())
 
 
 def _shown(srgb: Float[Tensor, "*S"]) -> np.ndarray:
