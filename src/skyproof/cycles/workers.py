@@ -8,7 +8,7 @@ import subprocess
 import tempfile
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 
 import msgspec
@@ -28,7 +28,7 @@ _LONGEST_LINE = 100_000
 _CHANNELS = 7  # colour, coverage and the ground's light
 
 
-class Workers:
+class Workers(AbstractContextManager["Workers"]):
     """Several Blender processes of one thread each, used as a context; the first job starts them.
 
     A result depends on its job alone, for any number of processes. Results stay in the folder
@@ -45,9 +45,6 @@ class Workers:
         self._idle: queue.SimpleQueue[_Process] = queue.SimpleQueue()
         for process in self.processes:
             self._idle.put(process)
-
-    def __enter__(self) -> "Workers":
-        return self
 
     def __exit__(self, *_: object) -> None:
         self._stop()
