@@ -90,8 +90,6 @@ class AnchorHead(nn.Module):
 class AnchorDetector(TrainableDetector):
     """Ultralytics' backbone and neck with head and loss of the YOLOv5 of 2020 (section 5.3)."""
 
-    name = "yolov5_anchors"
-    size = "brought"
     model: Any
 
     def __init__(self, architecture: Mapping[str, Any], vehicle_classes: Sequence[int]) -> None:

@@ -261,8 +261,6 @@ class _ImportedRetinaNet(_Imported, RetinaNetDetector):
 class ImportedFcos(_Imported):
     """FCOS: a vehicle's score is the root of class score times centredness, as in torchvision."""
 
-    name = "fcos"
-
     def _terms(
         self, target: dict[str, Tensor], own: dict[str, Tensor], anchors: Tensor
     ) -> dict[str, Tensor]:

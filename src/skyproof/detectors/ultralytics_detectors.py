@@ -163,9 +163,6 @@ class YoloV5Detector(YoloDetector):
 class YoloNetwork(YoloDetector):
     """Any recent Ultralytics YOLO with any classes, without its weights."""
 
-    name = "yolo"
-    size = "brought"
-
     def __init__(self, architecture: Mapping[str, Any], vehicle_classes: Sequence[int]) -> None:
         super().__init__()
         self.vehicle_classes = list(vehicle_classes)
@@ -175,7 +172,6 @@ class YoloNetwork(YoloDetector):
 class RtDetrNetwork(QueryDetector):
     """An RT-DETR of Ultralytics with any classes, without its weights."""
 
-    name = "rt_detr"
     focal_exponent = 1.5
 
     def __init__(self, blueprint: Blueprint, side_px: int) -> None:
