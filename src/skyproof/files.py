@@ -144,10 +144,9 @@ def _place(path: Path) -> Path:
 
 
 def _holder(lock: Path) -> str:
-    try:
+    with suppress(OSError):
         return lock.read_text(encoding="utf-8", errors="replace")[:300] or "it has just started"
-    except OSError:
-        return "it does not say which"
+    return "it does not say which"
 
 
 def _settle(path: Path) -> None:
@@ -289,10 +288,9 @@ def _unwritable(path: Path, error: OSError) -> RunFolderError:
 
 
 def _is_full(path: Path) -> bool:
-    try:
+    with suppress(OSError):
         return shutil.disk_usage(path.parent).free < _NEARLY_FULL_BYTES
-    except OSError:
-        return False
+    return False
 
 
 def write_bytes(path: Path, data: bytes) -> None:

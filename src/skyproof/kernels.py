@@ -51,7 +51,8 @@ def rows(kernel: wp.Kernel, dim: Sequence[int], *arguments: Any) -> None:
 def struct(kind: Any, **values: Any) -> Any:
     """Fills a struct; tensors are stored as the arrays that it holds, and kept alive."""
     _device_of(values.values())
-    _start()
+    with _loading:
+        _start()
     filled = kind()
     for name, value in values.items():
         if isinstance(value, Tensor):
@@ -121,13 +122,8 @@ def _tell_of_compiling() -> None:
     say(f"  compiling the renderer, {how} ...")
 
 
-def _start() -> None:
-    with _loading:
-        _start_once()
-
-
 @cache
-def _start_once() -> None:
+def _start() -> None:
     """Starts Warp, with a folder for compiled kernels that can be written."""
     # Its banner would come before every command's own words.
     wp.config.log_level = wp.LOG_ERROR

@@ -26,11 +26,9 @@ class LoopPart(Protocol):
 
     def state_dict(self) -> dict[str, Any]:
         """Returns the changing state: nested dictionaries of tensors and plain values."""
-        ...
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> Any:
         """Restores a result of `state_dict`."""
-        ...
 
 
 @dataclass

@@ -64,7 +64,7 @@ def filled(model: nn.Module) -> nn.Module:
 
 def detector_of(classes: int) -> AnchorDetector:
     architecture = {**of_2020(), "nc": classes}
-    detector = AnchorDetector(architecture, list(range(classes))[:2], "slim")
+    detector = AnchorDetector(architecture, list(range(classes))[:2])
     filled(detector.model)
     return detector.eval().requires_grad_(False)
 

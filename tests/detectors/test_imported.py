@@ -24,6 +24,7 @@ from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.imported import ImportedDetector, ImportedFasterRcnn, ImportedFcos
 from skyproof.detectors.ultralytics_detectors import (
     RtDetrNetwork,
+    YoloNetwork,
     _refuse_giants,
 )
 from skyproof.errors import ConfigurationError
@@ -43,7 +44,7 @@ def livened(detector: ImportedDetector) -> ImportedDetector:
     generator = torch.Generator().manual_seed(7)
     model = detector.network.model
     # FCOS normalises the features before the last layer, which is why they are larger there.
-    spread = (1.5, 0.02 if detector.network.name == "fcos" else 0.3)
+    spread = (1.5, 0.02 if isinstance(detector.network, ImportedFcos) else 0.3)
     for name, parameter in model.named_parameters():
         if "score_head" in name or "bbox_head" in name:
             with torch.no_grad():
@@ -63,7 +64,7 @@ def livened(detector: ImportedDetector) -> ImportedDetector:
         # It stays as it infers.
         model.train()
     with torch.no_grad():
-        own = detector.network.name in ("yolo", "rt_detr")
+        own = isinstance(detector.network, YoloNetwork | RtDetrNetwork)
         model(IMAGES) if own else detector.network.candidates(IMAGES)
     return detector.eval().requires_grad_(False)
 
@@ -158,7 +159,8 @@ def test_other_classes_are_those_that_are_no_vehicles(imported: ImportedDetector
     twin = imported.of_other_classes()
     assert twin is not None
     # Class 0 is the background of Faster R-CNN.
-    two = {"faster_rcnn": [2], "yolo": [0], "rt_detr": [0]}.get(network.name, [0, 2])
+    of_kind = {ImportedFasterRcnn: [2], YoloNetwork: [0], RtDetrNetwork: [0]}
+    two = of_kind.get(type(network), [0, 2])
     classes: Any = twin.network.vehicle_classes
     assert [*classes] == two
     assert network.vehicle_classes == before

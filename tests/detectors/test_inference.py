@@ -156,10 +156,10 @@ class Row(TrainableDetector):
     def __init__(self, length_m: float, width_m: float, pitch_m: float) -> None:
         super().__init__()
         angles = torch.full((5, 1), torch.pi / 4)
-        half = upright(torch.tensor([[length_m, width_m]]).expand(5, 2) / 2, angles)
         steps = 10 + pitch_m * torch.arange(5.0)[:, None] * torch.tensor([[0.5**0.5, -(0.5**0.5)]])
         middles = steps + torch.tensor([[0.0, 15.0]])
-        self.boxes = torch.cat([middles - half, middles + half], dim=1)[None] / 0.125
+        sides = torch.tensor([[length_m, width_m]]).expand(5, 2)
+        self.boxes = upright(torch.cat([middles, sides], dim=1), angles)[None] / 0.125
 
     def candidates(self, images: torch.Tensor) -> Candidates:
         scores = torch.linspace(0.9, 0.5, 5)[None]

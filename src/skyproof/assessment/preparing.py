@@ -64,8 +64,8 @@ def prepare(its: Subject) -> Iterator[Step]:
     """Yields the steps that prepare detectors, and ground without vehicles."""
     imagery = bool(its.request.imagery)
     yield tiles(its) if imagery else drawn_ground(its, its.layout, its.suite.tiles)
-    for number in range(len(its.names)):
-        yield from detector(its, number)
+    for name, place in zip(its.names, its.request.detectors, strict=True):
+        yield from detector(its, name, place)
     if imagery:
         yield cleared(its)
 
@@ -102,10 +102,8 @@ def drawn_ground(
     return Step("ground", title, (out,), draw.run, (counts, tiling, its.seed), effort_s=effort_s)
 
 
-def detector(its: Subject, number: int) -> Iterator[Step]:
+def detector(its: Subject, name: str, place: Path) -> Iterator[Step]:
     """Yields the steps that add a detector to the run; labels, if any, freeze its threshold."""
-    name = its.names[number]
-    place = its.request.detectors[number]
     if its.black_box is None and detector_folder(place).is_dir():
         yield frozen_on_labels(its, name, place) if its.labelled else copied(its, name, place)
     elif its.labelled:

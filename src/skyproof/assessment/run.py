@@ -255,8 +255,7 @@ class Run:
             for step in steps
         }
         if any(known.get(name) != kept for name, kept in now.items()):
-            every = {**known, **now}
-            write_json(self._layout.steps, {name: asdict(kept) for name, kept in every.items()})
+            write_json(self._layout.steps, msgspec.to_builtins({**known, **now}))
 
     def _digest(self, step: Step) -> str:
         text = json.dumps(self._plain(step.settings), sort_keys=True)
@@ -298,11 +297,7 @@ class Run:
         rows = {(row.stage, row.name): row for row in read_timings(self._layout.timings)}
         row = rows.get((step.kind, step.name), Timing(stage=step.kind, name=step.name, seconds=0.0))
         rows[row.stage, row.name] = replace(row, seconds=round(row.seconds + seconds, 2))
-        known = [
-            {name: value for name, value in asdict(row).items() if value is not None}
-            for row in rows.values()
-        ]
-        write_json(self._layout.timings, known)
+        write_json(self._layout.timings, msgspec.to_builtins([*rows.values()]))
 
 
 def time_left_s(

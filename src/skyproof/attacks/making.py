@@ -73,11 +73,10 @@ class Maker:
         self, name: CamouflageName, folder: Path, *, draws: int, texture: Camouflage | None
     ) -> None:
         """Chooses a control, from `draws` for best-of-N, or optimises; shows a progress bar."""
-        if name.has_candidates:
-            with progress_bar(f"choose {name}") as update:
+        with progress_bar(f"{'choose' if name.has_candidates else 'attack'} {name}") as update:
+            if name.has_candidates:
                 self._choose(name, folder, draws, update)
-        else:
-            with progress_bar(f"attack {name}") as update:
+            else:
                 self._optimise(name, folder, texture, update)
 
     def _choose(

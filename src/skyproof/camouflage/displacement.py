@@ -62,7 +62,19 @@ class DisplacementMap(Camouflage):
         """Deforms the vehicles; at PM = 0 they are returned as they are, without a gradient."""
         if self.magnitude == 0.0:
             return vehicles
-        return replace(vehicles, vertices=vehicles.vertices + self._offsets(vehicles))
+        vertices = vehicles.vertices
+        template = vehicles.template
+        radius = vertices - vertices.mean(dim=1, keepdim=True)
+        direction = torch.nn.functional.normalize(radius, dim=-1)
+        width = vertices[..., 1].amax(dim=1) - vertices[..., 1].amin(dim=1)
+        sampled = sample_map(self.map(), template.vertex_uvs.to(self.reach.dtype))
+        # Mirrored vertices read the map at places that are mirrored up to rounding only.
+        sampled = (sampled + sampled[template.mirror]) / 2
+        distance = self.magnitude * width[:, None] * sampled.to(vertices.dtype)
+        if self.frozen_parts:
+            distance = distance.masked_fill(_frozen(vehicles), 0.0)
+        distance = torch.minimum(distance, _way_to_ground(vertices, direction))
+        return replace(vehicles, vertices=vertices + distance[..., None] * direction)
 
     def map(self) -> Float[Tensor, "64 64"]:
         """Returns the symmetric map: the fraction of PM * W by which each place moves."""
@@ -96,20 +108,6 @@ class DisplacementMap(Camouflage):
         self.paper_form_(False)
         self.project_()
         self.reach.copy_(self.map())
-
-    def _offsets(self, vehicles: VehicleBatch) -> Float[Tensor, "N V 3"]:
-        vertices = vehicles.vertices
-        template = vehicles.template
-        radius = vertices - vertices.mean(dim=1, keepdim=True)
-        direction = torch.nn.functional.normalize(radius, dim=-1)
-        width = vertices[..., 1].amax(dim=1) - vertices[..., 1].amin(dim=1)
-        sampled = sample_map(self.map(), template.vertex_uvs.to(self.reach.dtype))
-        # Mirrored vertices read the map at places that are mirrored up to rounding only.
-        sampled = (sampled + sampled[template.mirror]) / 2
-        distance = self.magnitude * width[:, None] * sampled.to(vertices.dtype)
-        if self.frozen_parts:
-            distance = distance.masked_fill(_frozen(vehicles), 0.0)
-        return torch.minimum(distance, _way_to_ground(vertices, direction))[..., None] * direction
 
 
 def even_shape(name: CamouflageName) -> DisplacementMap:

@@ -1,6 +1,5 @@
 """Camouflages from their names: "T-PixFcMa", "S-O@0.4", "C-Fc-par@0.2", "R-PixFcMa"."""
 
-from collections.abc import Mapping
 from typing import Any
 
 import torch
@@ -42,7 +41,7 @@ class Combination(Camouflage):
         self.turn_steps = turn_steps
         if turn_steps is None:
             texture.requires_grad_(False)
-        self.learning_rates: Mapping[str, float] = {
+        self.learning_rates = {
             f"{side}.{parameter}": rate
             for side, part in (("texture", texture), ("shape", shape))
             for parameter, rate in part.learning_rates.items()

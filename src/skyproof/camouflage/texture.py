@@ -1,6 +1,5 @@
 """One universal texture map for all vehicles, under any combination of three constraints."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import torch
@@ -41,7 +40,6 @@ class UniversalTexture(Camouflage):
         palette: `[K, 3]` sRGB in [0, 1]; a parameter if optimised; absent if colours are free.
     """
 
-    learning_rates: Mapping[str, float]
     palette: Tensor
     temperature: Tensor
     finished: Tensor

@@ -106,32 +106,25 @@ class Score(Rendering):
 
     def _refuse_what_cannot_work(self) -> None:
         """Refuses options that do not fit, before anything is rendered."""
-        if not self.camouflages and not self.frames:
-            raise ConfigurationError(
-                "Scoring expects something to measure the detectors on: --original with "
-                "--camouflages, or --frames."
-            )
-        if bool(self.camouflages) != (self.original is not None):
-            raise ConfigurationError(
-                "Scoring compares --original, a dataset without camouflage, with --camouflages; "
-                "give both sides."
-            )
-        if self.camouflages and (self.backgrounds is None or self.fleet is None):
-            raise ConfigurationError(
-                "--camouflages are rendered on --backgrounds and --fleet, those of the scenes of "
-                "--original; give both."
-            )
         names = [folder.name for folder in self.camouflages]
-        for name in names:
-            if not is_name(name):
-                raise ConfigurationError(
-                    f"--camouflages expects folders whose names can name a camouflage, got "
-                    f"{name!r}; give each by its own name."
-                )
-        if len(set(names)) != len(names):
-            raise ConfigurationError(
-                "--camouflages expects folders of different names; score the others separately."
-            )
+        unfit = next((name for name in names if not is_name(name)), None)
+        on_nothing = self.backgrounds is None or self.fleet is None
+        mistakes = {
+            "Scoring expects something to measure the detectors on: --original with --camouflages, "
+            "or --frames.": not self.camouflages and not self.frames,
+            "Scoring compares --original, a dataset without camouflage, with --camouflages; give "
+            "both sides.": bool(self.camouflages) != (self.original is not None),
+            "--camouflages are rendered on --backgrounds and --fleet, those of the scenes of "
+            "--original; give both.": bool(self.camouflages) and on_nothing,
+            "--camouflages expects folders whose names can name a camouflage, got "
+            f"{unfit!r}; give each by its own name.": unfit is not None,
+            "--camouflages expects folders of different names; score the others separately.": (
+                len(set(names)) != len(names)
+            ),
+        }
+        for sentence, made in mistakes.items():
+            if made:
+                raise ConfigurationError(sentence)
 
     def _say_results(self) -> None:
         from skyproof.results.results import Results

@@ -6,7 +6,6 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,7 @@ from skyproof.scenes.light import Light
 from skyproof.scenes.scene import Scene, Sun
 from skyproof.vehicles.vehicle import VehicleBatch
 
-_WORKER = Path(__file__).with_name("worker.py")
+WORKER = Path(__file__).with_name("worker.py")
 # Reach of the ground that sends noticeable light to a crop's vehicles.
 _GROUND_BORDER_M = 2.0
 _SUN_DIAMETER_RAD = math.radians(0.53)
@@ -90,7 +89,7 @@ class Job:
 
     def digest(self, blender_version: str) -> str:
         """Returns a name for the result, which also depends on the worker and Blender's version."""
-        total = _worker_hash().copy()
+        total = hashlib.sha256(WORKER.read_bytes())
         total.update(json.dumps([blender_version, self.numbers]).encode())
         for name, values in self.arrays.items():
             total.update(f"{name} {values.dtype} {values.shape}".encode())
@@ -174,12 +173,6 @@ def crop_jobs(
             name = f"vehicle {number + 1} of {scene.id}"
             jobs.append(Job(name, index, (left, top, right - left, bottom - top), numbers, arrays))
     return jobs
-
-
-@cache
-def _worker_hash() -> "hashlib._Hash":
-    """The hash of the worker's text, read once: every job's digest begins with it."""
-    return hashlib.sha256(_WORKER.read_bytes())
 
 
 def _shown(srgb: Float[Tensor, "*S"]) -> np.ndarray:

@@ -8,19 +8,18 @@ import subprocess
 import tempfile
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 
 import msgspec
 import numpy as np
 
 from skyproof.cycles.blender import Blender, find_blender, worker_environment
-from skyproof.cycles.jobs import Job
+from skyproof.cycles.jobs import WORKER, Job
 from skyproof.cycles.settings import Rendering
 from skyproof.errors import ConfigurationError, RunFolderError
 from skyproof.files import write_bytes
 
-_WORKER = Path(__file__).with_name("worker.py")
 _MARK = "skyproof-worker "
 _TRIES = 2
 _LAST_LINES = 3
@@ -29,7 +28,7 @@ _LONGEST_LINE = 100_000
 _CHANNELS = 7  # colour, coverage and the ground's light
 
 
-class Workers:
+class Workers(AbstractContextManager["Workers"]):
     """Several Blender processes of one thread each, used as a context; the first job starts them.
 
     A result depends on its job alone, for any number of processes. Results stay in the folder
@@ -46,9 +45,6 @@ class Workers:
         self._idle: queue.SimpleQueue[_Process] = queue.SimpleQueue()
         for process in self.processes:
             self._idle.put(process)
-
-    def __enter__(self) -> "Workers":
-        return self
 
     def __exit__(self, *_: object) -> None:
         self._stop()
@@ -142,7 +138,7 @@ class _Process:
     def __init__(self, blender: Blender, scratch: Path, number: int) -> None:
         self.job = scratch / f"{number}.npz"
         self.process: subprocess.Popen[str] | None = None
-        self._command = blender.command(_WORKER, str(scratch))
+        self._command = blender.command(WORKER, str(scratch))
         self._environment = worker_environment(dict(os.environ), scratch)
         self._log = scratch / f"{number}.log"
         self._stopped = False

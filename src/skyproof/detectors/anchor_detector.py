@@ -90,14 +90,10 @@ class AnchorHead(nn.Module):
 class AnchorDetector(TrainableDetector):
     """Ultralytics' backbone and neck with head and loss of the YOLOv5 of 2020 (section 5.3)."""
 
-    name = "yolov5_anchors"
     model: Any
 
-    def __init__(
-        self, architecture: Mapping[str, Any], vehicle_classes: Sequence[int], size: str
-    ) -> None:
+    def __init__(self, architecture: Mapping[str, Any], vehicle_classes: Sequence[int]) -> None:
         super().__init__()
-        self.size = size
         self.vehicle_classes = list(vehicle_classes)
         plain = {name: value for name, value in architecture.items() if name != "anchors"}
         *necks, (sources, _, _, _) = architecture["head"]

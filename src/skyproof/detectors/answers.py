@@ -98,7 +98,6 @@ class BlackBoxDetector(Detector):
             )
 
     def of_other_classes(self) -> "BlackBoxDetector | None":
-        """See `Detector.of_other_classes`."""
         if self._vehicle_classes:
             others = copy.copy(self)
             others._finds_others = True

@@ -41,9 +41,6 @@ class StandIn:
     def __new__(cls, *arguments: Any, **named: Any) -> "StandIn":
         return object.__new__(cls)
 
-    def __init__(self, *arguments: Any, **named: Any) -> None:
-        pass
-
     def __setstate__(self, state: Any) -> None:
         if isinstance(state, dict):
             self.__dict__.update(state)

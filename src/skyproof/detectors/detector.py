@@ -122,28 +122,24 @@ class TrainableDetector(nn.Module, Detector):
 
     @torch.no_grad()
     def detect(self, images: Images) -> list[Detections]:
+        """Clips candidates to the image; keeps the best without overlap, at most 100 per window."""
         height_px, width_px = images.shape[-2:]
-        return _suppress(self.candidates(images), height_px, width_px, self.suppression_iou)
-
-
-def _suppress(
-    candidates: Candidates, height_px: int, width_px: int, most_iou: float
-) -> list[Detections]:
-    """Clips candidates to the image; keeps the best without overlap, at most 100 per window."""
-    windows = max(1, height_px * width_px // WINDOW_PX**2)
-    found = []
-    for boxes, scores, valid in zip(
-        candidates.boxes, candidates.scores, candidates.valid, strict=True
-    ):
-        clipped = ops.clip_boxes_to_image(boxes, (height_px, width_px))
-        sides = clipped[:, 2:] - clipped[:, :2]
-        keep = valid & (scores >= LOWEST_SCORE) & (sides > 0.5).all(dim=1)
-        ordered, order = scores[keep].sort(descending=True, stable=True)
-        kept_scores = ordered[: windows * _MOST_CANDIDATES]
-        kept_boxes = clipped[keep][order[: windows * _MOST_CANDIDATES]]
-        best = ops.nms(kept_boxes, kept_scores, most_iou)[: windows * _MOST_DETECTIONS]
-        found.append(Detections(kept_boxes[best].detach(), kept_scores[best].detach().clamp(0, 1)))
-    return found
+        windows = max(1, height_px * width_px // WINDOW_PX**2)
+        candidates = self.candidates(images)
+        found = []
+        for boxes, scores, valid in zip(
+            candidates.boxes, candidates.scores, candidates.valid, strict=True
+        ):
+            clipped = ops.clip_boxes_to_image(boxes, (height_px, width_px))
+            sides = clipped[:, 2:] - clipped[:, :2]
+            keep = valid & (scores >= LOWEST_SCORE) & (sides > 0.5).all(dim=1)
+            ordered, order = scores[keep].sort(descending=True, stable=True)
+            kept_scores = ordered[: windows * _MOST_CANDIDATES]
+            kept_boxes = clipped[keep][order[: windows * _MOST_CANDIDATES]]
+            best = ops.nms(kept_boxes, kept_scores, self.suppression_iou)
+            best = best[: windows * _MOST_DETECTIONS]
+            found.append(Detections(kept_boxes[best], kept_scores[best].clamp(0, 1)))
+        return found
 
 
 def check_images(images: Tensor) -> None:

@@ -168,7 +168,7 @@ def _network(
             known = network.classes
         elif "anchors" in blueprint.architecture:
             known = int(blueprint.architecture.get("nc", 0))
-            network = AnchorDetector(blueprint.architecture, blueprint.vehicle_classes, "brought")
+            network = AnchorDetector(blueprint.architecture, blueprint.vehicle_classes)
         else:
             network = YoloNetwork(blueprint.architecture, blueprint.vehicle_classes)
             known = int(network.model.model[-1].nc)
@@ -260,8 +260,6 @@ class _ImportedRetinaNet(_Imported, RetinaNetDetector):
 
 class ImportedFcos(_Imported):
     """FCOS: a vehicle's score is the root of class score times centredness, as in torchvision."""
-
-    name = "fcos"
 
     def _terms(
         self, target: dict[str, Tensor], own: dict[str, Tensor], anchors: Tensor

@@ -47,7 +47,7 @@ def detect_by_each(detectors: Sequence[Detector], dataset: Dataset) -> list[list
 
     def decode(batch: Sequence[int]) -> list[Tensor]:
         # Large images are decoded window by window, when their turn comes.
-        return [] if _is_large(sizes[batch[0]]) else dataset.images(batch)
+        return [] if max(sizes[batch[0]]) > LARGEST_WHOLE_PX else dataset.images(batch)
 
     batches = list(_batches(sizes))
     for batch, images in zip(batches, made_ahead(decode, batches), strict=True):
@@ -55,15 +55,10 @@ def detect_by_each(detectors: Sequence[Detector], dataset: Dataset) -> list[list
         for found, detector in zip(results, detectors, strict=True):
             beyond = detector.in_windows_alone and max(sizes[batch[0]]) > detector.window_px
             if shown is not None and not beyond:
-                found += detect_batch(detector, shown)
+                found += detector.detect(to_detector(detector, shown))
             else:
                 found += [detect_in_windows(detector, dataset.pictures[each]) for each in batch]
     return results
-
-
-def detect_batch(detector: Detector, images: UInt8[Tensor, "B 3 H W"]) -> list[Detections]:
-    """Runs `detect` on sRGB bytes, on the detector's own device."""
-    return detector.detect(to_detector(detector, images))
 
 
 def to_detector(detector: object, images: UInt8[Tensor, "B 3 H W"]) -> Float[Tensor, "B 3 H W"]:
@@ -98,14 +93,11 @@ def _starts(side_px: int, window_px: int) -> tuple[list[int], int]:
     return [round(index * step) for index in range(count)], length
 
 
-def _is_large(size_px: tuple[int, int]) -> bool:
-    return max(size_px) > LARGEST_WHOLE_PX
-
-
 def _batches(sizes_px: Sequence[tuple[int, int]]) -> Iterator[list[int]]:
     """Yields batches of indices of consecutive images of one size; a large image is alone."""
     for size, group in itertools.groupby(range(len(sizes_px)), key=lambda index: sizes_px[index]):
-        while part := list(itertools.islice(group, 1 if _is_large(size) else _BATCH_SIZE)):
+        at_once = 1 if max(size) > LARGEST_WHOLE_PX else _BATCH_SIZE
+        while part := list(itertools.islice(group, at_once)):
             yield part
 
 
@@ -118,7 +110,7 @@ def detect_in_windows(detector: Detector, picture: Picture) -> Detections:
     boxes: list[Tensor] = []
     scores: list[Tensor] = []
     while images := list(itertools.islice(views, at_once)):
-        answers = detect_batch(detector, torch.stack(images))
+        answers = detector.detect(to_detector(detector, torch.stack(images)))
         for found, (window, core) in zip(
             answers, itertools.islice(around, len(images)), strict=True
         ):

@@ -189,8 +189,7 @@ class OnnxFile:
             scores = logits.sigmoid() if alone else logits.softmax(1)[:, :-1]
         fractions = self._in_fractions or self._kind == "queries"
         if fractions or self._turned or self._kind in ("columns", "rows"):
-            half = upright(boxes[:, 2:] / 2, table[:, -1:] * self._turned)
-            boxes = torch.cat([boxes[:, :2] - half, boxes[:, :2] + half], 1)
+            boxes = upright(boxes, table[:, -1:] * self._turned)
         boxes = boxes * torch.tensor([width, height] * 2) if fractions else boxes
         finite = boxes.isfinite().all() and scores.isfinite().all()
         if not finite or (numbers != numbers.round()).any():

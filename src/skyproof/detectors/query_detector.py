@@ -42,7 +42,6 @@ class QueryDetector(TrainableDetector):
     """
 
     model: Any
-    size = "brought"
     suppression_iou = 1.0
     in_windows_alone = True
     focal_exponent = 2.0

@@ -8,10 +8,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn import functional
 from torchvision import ops
-
-# Lin et al. 2017, equation 1: a box of 224 px belongs to the level of stride 16.
-_CANONICAL_SIDE_PX = 224
-_CANONICAL_STRIDE_PX = 16
+from torchvision.ops.poolers import LevelMapper
 
 
 class CentreAlign(ops.MultiScaleRoIAlign):
@@ -79,11 +76,8 @@ class CentreAlign(ops.MultiScaleRoIAlign):
 
 def area_levels(boxes: Float[Tensor, "K 4"], strides_px: Sequence[float]) -> Int[Tensor, " K"]:
     """Chooses levels by the root of a box's area; each has twice the stride of the one before."""
-    sides = (boxes[:, 2:] - boxes[:, :2]).clamp(min=1).prod(dim=1).sqrt()
-    # The small number is torchvision's, for boxes on a limit.
-    wanted = (sides / _CANONICAL_SIDE_PX).log2() + math.log2(_CANONICAL_STRIDE_PX) + 1e-6
-    first = math.log2(strides_px[0])
-    return (wanted.floor() - first).clamp(0, len(strides_px) - 1).long()
+    first = round(math.log2(strides_px[0]))
+    return LevelMapper(first, first + len(strides_px) - 1)([boxes])
 
 
 def _neighbours(

@@ -24,8 +24,6 @@ from skyproof.errors import ConfigurationError
 class TransformersNetwork(QueryDetector):
     """A DETR, RT-DETR or relative. For training, the library cuts gradients between its parts."""
 
-    name = "transformers"
-
     def __init__(self, blueprint: Blueprint, side_px: int) -> None:
         plan: Any = blueprint.architecture
         super().__init__(blueprint.vehicle_classes, len(blueprint.classes), side_px)

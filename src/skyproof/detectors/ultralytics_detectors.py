@@ -71,9 +71,7 @@ class YoloDetector(TrainableDetector):
             distances = distances.reshape(*distances.shape[:2], 4, levels).softmax(-1) @ steps
         if "angle" in outputs:
             angles = outputs["angle"].permute(0, 2, 1)
-            centred = dist2rbox(distances, angles, points)
-            half = upright(centred[..., 2:] / 2, angles)
-            boxes = torch.cat([centred[..., :2] - half, centred[..., :2] + half], dim=-1)
+            boxes = upright(dist2rbox(distances, angles, points), angles)
         else:
             boxes = dist2bbox(distances, points, xywh=False)
         scores = outputs["scores"][:, list(self.vehicle_classes)].amax(dim=1).sigmoid()
@@ -165,9 +163,6 @@ class YoloV5Detector(YoloDetector):
 class YoloNetwork(YoloDetector):
     """Any recent Ultralytics YOLO with any classes, without its weights."""
 
-    name = "yolo"
-    size = "brought"
-
     def __init__(self, architecture: Mapping[str, Any], vehicle_classes: Sequence[int]) -> None:
         super().__init__()
         self.vehicle_classes = list(vehicle_classes)
@@ -177,7 +172,6 @@ class YoloNetwork(YoloDetector):
 class RtDetrNetwork(QueryDetector):
     """An RT-DETR of Ultralytics with any classes, without its weights."""
 
-    name = "rt_detr"
     focal_exponent = 1.5
 
     def __init__(self, blueprint: Blueprint, side_px: int) -> None:
@@ -290,13 +284,13 @@ def _refuse_wide_windows(layers: torch.nn.Module) -> None:
                 )
 
 
-def upright(half: Tensor, angles: Tensor) -> Tensor:
-    """Converts half sides `[..., 2]` of oriented boxes to those of upright boxes around them."""
+def upright(boxes: Tensor, angles: Tensor) -> Tensor:
+    """Returns the upright boxes (xyxy) around oriented boxes `[..., 4]` of centre and sides."""
+    centres, (width, height) = boxes[..., :2], (boxes[..., 2:] / 2).split(1, dim=-1)
     cosine = angles.cos().abs()
     sine = angles.sin().abs()
-    width = half[..., :1] * cosine + half[..., 1:] * sine
-    height = half[..., :1] * sine + half[..., 1:] * cosine
-    return torch.cat([width, height], dim=-1)
+    half = torch.cat([width * cosine + height * sine, width * sine + height * cosine], dim=-1)
+    return torch.cat([centres - half, centres + half], dim=-1)
 
 
 @contextmanager

@@ -4,6 +4,7 @@ import hashlib
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -245,17 +246,13 @@ def _renderer_of(rendered: Dataset, ground: BackgroundSet) -> TorchRenderer:
     """Opens the renderer with the dataset's settings, so that only the camouflage differs."""
     usual = TorchRenderer(ground).record(rendered.scenes)
     other = {key: value for key, value in rendered.rendering.items() if value != usual.get(key)}
-    try:
+    with suppress(msgspec.ValidationError, ConfigurationError):
         renderer = TorchRenderer(ground, msgspec.convert(other, RenderSettings))
         # The stored form: JSON turns tuples into lists.
-        record = json.loads(json.dumps(renderer.record(rendered.scenes)))
-        same = record == rendered.rendering
-    except (msgspec.ValidationError, ConfigurationError):
-        same = False
-    if not same:
-        raise ConfigurationError(
-            f"{rendered.folder} was rendered on other ground, or with settings that are not known "
-            f"here ({', '.join(sorted(other))[:200] or 'none are stored'}); give its own "
-            "background set, or render it anew."
-        )
-    return renderer
+        if json.loads(json.dumps(renderer.record(rendered.scenes))) == rendered.rendering:
+            return renderer
+    raise ConfigurationError(
+        f"{rendered.folder} was rendered on other ground, or with settings that are not known here "
+        f"({', '.join(sorted(other))[:200] or 'none are stored'}); give its own background set, or "
+        "render it anew."
+    )

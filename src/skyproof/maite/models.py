@@ -93,7 +93,6 @@ class ModelDetector(BlackBoxDetector):
         ]
 
     def of_other_classes(self) -> "ModelDetector | None":
-        """See `Detector.of_other_classes`."""
         others = copy.copy(self)
         others._labels, others._detect = self._others, others._query
         return others if self._others else None

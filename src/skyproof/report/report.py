@@ -192,7 +192,7 @@ def templates(package: str) -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    own = {"rate_outcome": rate_outcome, "rate_words": rate_words, "ink": ink}
+    own = {"rate_outcome": rate_outcome, "rate_words": rate_words, "ink": ink, "readings": readings}
     environment.filters |= vars(words) | own
     return environment
 
@@ -259,9 +259,6 @@ class _Contents:
     def conditions(self, row: Result) -> Markup | None:
         panels = self.panels(row)
         return Markup(condition_figure(panels)) if panels else None
-
-    def readings(self, row: Result) -> list[str]:
-        return readings(self.panels(row))
 
     def loss(self, row: Result) -> Markup | None:
         """Draws the losses of an attack against its steps; None where they are not kept."""

@@ -42,7 +42,7 @@ class _Commands(Struct, frozen=True):
     commands: list[Text] = []
 
 
-class Timing(Struct, frozen=True, kw_only=True):
+class Timing(Struct, frozen=True, kw_only=True, omit_defaults=True):
     """One row of `timings.json`: duration of a step, and the memory it held."""
 
     stage: Label

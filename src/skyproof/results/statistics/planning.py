@@ -92,10 +92,7 @@ def tiles_to_show(needed: int, scenes: int) -> int:
 
     Each scene draws its tile with replacement, and `needed` is below `scenes`.
     """
-    tiles = needed
-    while tiles * (1 - (1 - 1 / tiles) ** scenes) < needed:
-        tiles += 1
-    return tiles
+    return fewest(lambda tiles: tiles * (1 - (1 - 1 / tiles) ** scenes) >= needed, needed)
 
 
 def expected_half_width(tiles: int, assumptions: Assumptions) -> float:
