@@ -1,5 +1,6 @@
 """`skyproof harden` after a tiny assessment, and what it refuses."""
 
+import base64
 import json
 import re
 import shlex
@@ -60,6 +61,13 @@ def test_a_detector_is_hardened_and_can_be_assessed(
         if row["match"] == "centre_1m" and not row["camouflage"].startswith("R-")
     }
     assert {name: own["frozen"]["hidden"][0] for name, own in kept["rates"].items()} == wanted
+    scores = finished / "scores/test-0/pairs"
+    (pair,) = [
+        each
+        for each in json.loads((scores / "pairs.json").read_text())["rows"]
+        if each["camouflage"] == "T-U"
+    ][:1]
+    assert base64.b64decode(kept["pictures"]["T-U"]) == (scores / pair["adversarial"]).read_bytes()
     (told,) = re.findall(r"Assess it anew: skyproof (.*)", answer.out)
     command, *words = shlex.split(told)
     request = tyro.cli(load_command(command), args=words, console_outputs=False)

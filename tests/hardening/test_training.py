@@ -12,6 +12,7 @@ import torch
 from skyproof.attacks.world import World
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.datasets.dataset import Dataset
+from skyproof.detectors import training
 from skyproof.detectors.blueprint import Blueprint
 from skyproof.detectors.card import DetectorCard
 from skyproof.detectors.detector import TrainableDetector
@@ -94,22 +95,44 @@ def test_the_card_names_the_parent_and_statistics_stay(
     assert all(torch.equal(stored[name], before[name]) for name in statistics)
 
 
-def test_half_of_the_parents_weights_stay(
-    rendered: RenderedWorld, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("aps", "share"),
+    [
+        ([0.9, 0.891], 1.0),
+        ([0.9, 0.5, 0.895], 0.75),
+        ([0.9, 0.5, 0.889, 0.91], 0.5),
+        ([0.9, 0.5, 0.6, 0.7, 0.8], 0.25),
+    ],
+)
+def test_as_much_of_the_trained_weights_stays_as_costs_a_point_of_ap(
+    rendered: RenderedWorld,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    aps: list[float],
+    share: float,
 ) -> None:
     settings = dataclasses.replace(SETTINGS, steps=2)
-    mixed, _ = run(rendered, tmp_path / "mixed", settings=settings)
-    monkeypatch.setattr(hardening, "_PARENT_SHARE", 0.0)
-    trained, _ = run(rendered, tmp_path / "trained", settings=settings)
+    monkeypatch.setattr(hardening, "_MOST_AP_LOST", 1.0)
+    trained, card = run(rendered, tmp_path / "trained", settings=settings)
+    assert card.training["trained_share"] == 1.0
+    monkeypatch.setattr(hardening, "_MOST_AP_LOST", 0.01)
+    usual, left = training.validate, iter(aps)
+    monkeypatch.setattr(
+        training, "validate", lambda *given: {**usual(*given), "ap_centre_1m": next(left)}
+    )
+    mixed, card = run(rendered, tmp_path / "mixed", settings=settings)
+    assert next(left, None) is None
+    assert card.training["trained_share"] == share
+    assert card.validation["ap_centre_1m"] == aps[-1]
     every = zip(
         load_detector("retinanet").named_parameters(),
         mixed.parameters(),
         trained.parameters(),
         strict=True,
     )
-    for (name, parent), half, whole in every:
-        torch.testing.assert_close(half, (parent + whole) / 2, msg=name)
-    assert mixed.weights_sha256 != trained.weights_sha256
+    for (name, parent), part, whole in every:
+        torch.testing.assert_close(part, parent + share * (whole - parent), msg=name)
+    assert (mixed.weights_sha256 == trained.weights_sha256) == (share == 1.0)
 
 
 def test_photographs_are_a_quarter_of_the_images(

@@ -1,5 +1,6 @@
 """What the report says of hardening, and that its command is one that works."""
 
+import base64
 import json
 import re
 import shutil
@@ -14,7 +15,7 @@ from skyproof.errors import StoredFileError
 from skyproof.files import write_json
 from skyproof.main import load_command
 from skyproof.report.advice import readings
-from skyproof.report.hardened import Parent, known_rates, scenes_of
+from skyproof.report.hardened import Parent, first_pictures, known_rates, scenes_of
 from skyproof.report.report import write_report
 from skyproof.results.conditions import Bin, Panel
 from skyproof.results.results import Results
@@ -85,9 +86,19 @@ def test_a_hardened_detector_stands_beside_its_parent(of_one, tmp_path, monkeypa
     after = with_world(fabricate(tmp_path / "after", scenes=16))
     folder = after / "detectors" / DETECTORS[0]
     results = Results.open(of_one)
-    parent = Parent(*known_rates(results), ["T-U", "T-Ma"], "0" * 64, scenes_of(results))
+    rates, ap = known_rates(results)
+    # Fabricated pictures are all alike.
+    shown = {name: picture + b"before" for name, picture in first_pictures(results, rates).items()}
+    digests = ("0" * 64, scenes_of(results))
+    parent = Parent(rates, ap, ["T-U", "T-Ma"], *digests, shown)
     write_json(folder / PARENT_FILE, to_builtins(parent))
     page = write_report(after).read_text()
+    # The same scene before and after, in an attack on each detector.
+    (own,) = first_pictures(Results.open(after), ["T-U"]).values()
+    for picture, words in ((shown["T-U"], "before"), (own, "after")):
+        data = base64.b64encode(picture).decode()
+        alt = f"With T-U, {words} hardening"
+        assert f'<img src="data:image/jpeg;base64,{data}" alt="{alt}">' in page
     (table,) = re.findall(r"before and after hardening, each by.*?</table>", page, flags=re.S)
     (row,) = re.findall(r"<tr><td>T-U</td>(.*?)</tr>", table, flags=re.S)
     (hidden,) = (

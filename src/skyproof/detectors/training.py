@@ -113,20 +113,20 @@ def fit(
     on_step: Callable[[dict[str, Any]], None] | None = None,
     parts: Mapping[str, LoopPart] | None = None,
     *,
-    start_share: float = 0.0,
+    most_ap_lost: float | None = None,
 ) -> DetectorCard:
     """Runs the steps of a training as `train` describes; the detector stays in its mode.
 
     `lessons` gets the steps to run, counted from 0. At each it adds the gradients of the step's
     images, and yields their mean loss. `card` is completed with threshold and scores of the best
-    weights. `parts` are further objects that change from step to step. At the last step the
-    averaged weights are mixed with a share of those at the start.
+    weights. `parts` are further objects that change from step to step. With `most_ap_lost` the
+    averaged weights are mixed with those at the start, as `_mix` describes.
     """
     if (folder / "detector.json").exists():
         return _finished(detector, folder, identity)
 
     detector.to(memory_format=torch.channels_last)
-    start = [parameter.detach().clone() for parameter in detector.parameters() if start_share]
+    start = [parameter.detach().clone() for parameter in detector.parameters()]
     averaged = _averaged(detector, settings)
     follower = cast(TrainableDetector, averaged.module)
     optimiser = _optimiser(detector, settings)
@@ -170,11 +170,11 @@ def fit(
             schedule.step()
             averaged.update_parameters(detector)
             loop.report({"kind": "step", "step": step, "loss": float(loss), "learning_rate": rate})
-            if step == settings.steps and start_share:
-                for kept, first in zip(follower.parameters(), start, strict=True):
-                    kept.lerp_(first, start_share)
             if step % settings.validate_every == 0 or step == settings.steps:
-                scores = validate(follower, validation)
+                if most_ap_lost is None:
+                    scores = validate(follower, validation)
+                else:
+                    scores = _mix(follower, start, validation, most_ap_lost)
                 best.keep(follower, scores, step)
                 loop.report({"kind": "validation", "step": step, **scores})
         detector.load_state_dict(best.weights)
@@ -182,7 +182,11 @@ def fit(
         made = replace(
             card,
             threshold=scores["threshold"],
-            training={**card.training, "best_step": scores["step"]},
+            training={
+                **card.training,
+                "best_step": scores["step"],
+                **{key: scores[key] for key in ("trained_share",) if key in scores},
+            },
             validation={key: scores[key] for key in ("ap_centre_1m", "ap_iou_50", "f1")},
             validation_vehicles=sum(map(len, validation.boxes)),
             skyproof_version=__version__,
@@ -231,6 +235,31 @@ class _Best:
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         self.scores = state_dict["scores"]
         self.weights = state_dict["weights"]
+
+
+def _mix(
+    detector: TrainableDetector,
+    start: Sequence[Tensor],
+    validation: Dataset,
+    most_ap_lost: float,
+) -> dict[str, float]:
+    """Mixes the weights with those at the start, and validates the result.
+
+    They keep the largest share of 1, 3/4, 1/2 and 1/4 that loses at most so much centre AP, else
+    the least. The scores tell it as "trained_share" (Wortsman et al. 2022, "Robust fine-tuning of
+    zero-shot models").
+    """
+    trained = [parameter.clone() for parameter in detector.parameters()]
+    least, scores = 0.0, {}
+    for share in (0.0, 1.0, 0.75, 0.5, 0.25):
+        for mixed, first, last in zip(detector.parameters(), start, trained, strict=True):
+            mixed.copy_(torch.lerp(first, last, share))
+        scores = {**validate(detector, validation), "trained_share": share}
+        if not share:
+            least = scores["ap_centre_1m"] - most_ap_lost
+        elif scores["ap_centre_1m"] >= least:
+            break
+    return scores
 
 
 def _optimiser(detector: nn.Module, settings: TrainingSettings) -> torch.optim.AdamW:

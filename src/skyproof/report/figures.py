@@ -254,7 +254,12 @@ def embedded_jpeg(path: Path) -> str:
     with open_picture(path, REMEDY) as picture:
         if picture.format != "JPEG":
             raise StoredFileError(f"{path} is a {picture.format} file, not JPEG; {REMEDY}.")
-    return f"data:image/jpeg;base64,{base64.b64encode(path.read_bytes()).decode()}"
+    return jpeg_uri(path.read_bytes())
+
+
+def jpeg_uri(content: bytes) -> str:
+    """Returns the content of a JPEG file as a data URI."""
+    return f"data:image/jpeg;base64,{base64.b64encode(content).decode()}"
 
 
 def embedded(path: Path | None, *, lossless: bool = True) -> str | None:

@@ -1,15 +1,18 @@
 """A hardened detector beside its parent: what each attack hides from them, and their baselines."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
-from msgspec import Struct
+from msgspec import Meta, Struct
 
+from skyproof.camouflage.name import CamouflageName
 from skyproof.detectors.card import PARENT_FILE, Digest
 from skyproof.documents import read_document
-from skyproof.files import file_digest
+from skyproof.files import file_digest, inside
 from skyproof.layout import Layout
+from skyproof.report.figures import jpeg_uri
 from skyproof.results.operating_points import EQUAL_ALARMS
 from skyproof.results.result import FROZEN
 from skyproof.results.results import RENDERER, Results
@@ -33,7 +36,7 @@ class Parent(Struct, frozen=True):
     """The results of its parent's assessment that a hardened detector's folder keeps.
 
     Rates are by attack and operating point, AP without camouflage is by set of images. `attacks`
-    were shown while it was hardened, and the digests are of its weights and the test scenes.
+    were shown while it was hardened. The digests are of its weights and the test scenes.
     """
 
     rates: dict[Label, dict[Label, _Rate]]
@@ -41,6 +44,7 @@ class Parent(Struct, frozen=True):
     attacks: list[Label]
     weights_sha256: Digest
     scenes_sha256: Digest
+    pictures: dict[Label, Annotated[bytes, Meta(max_length=10**6)]] = {}
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,8 @@ class Beside:
     """A hardened detector beside its parent, in pairs of before and after; or only sentences.
 
     At each operating point, `found` are shares of the vehicles without camouflage, and `hidden` the
-    rates of each attack. `ap` is that of each set of images.
+    rates of each attack. `ap` is that of each set of images. `pictures` of a scene in each attack
+    are data URIs.
     """
 
     sentences: Sequence[str]
@@ -56,6 +61,7 @@ class Beside:
     found: Sequence[tuple[float, float]] = ()
     hidden: Mapping[str, Sequence[tuple[Interval, Interval]]] | None = None
     ap: Mapping[str, tuple[Interval, Interval]] | None = None
+    pictures: Sequence[tuple[str, str, str]] = ()
 
 
 def parent_of(results: Results) -> Parent | None:
@@ -88,7 +94,14 @@ def beside_parent(results: Results) -> Beside | None:
     shown = f"Hardening showed it {listed(parent.attacks)}; all other attacks were held out."
     shared = [name for name in parent.ap if name in ap]
     both = {name: (_interval(parent.ap[name]), _interval(ap[name])) for name in shared}
-    return Beside([_strongest(points, found, hidden), shown], points, found, hidden, both)
+    own = first_pictures(results, attacks)
+    pictures = [
+        (name, jpeg_uri(parent.pictures[name]), jpeg_uri(own[name]))
+        for name in attacks
+        if name in parent.pictures and name in own
+    ]
+    sentences = [_strongest(points, found, hidden), shown]
+    return Beside(sentences, points, found, hidden, both, pictures)
 
 
 def _strongest(
@@ -125,6 +138,19 @@ def known_rates(results: Results) -> tuple[dict[str, dict[str, _Rate]], dict[str
                 own[point] = _Rate(one.found_before, _limits(one.easr))
     ap = {one.dataset: _limits(one.ap_centre_1m) for one in results.baselines if one.vehicles}
     return rates, ap
+
+
+def first_pictures(results: Results, attacks: Iterable[str]) -> dict[str, bytes]:
+    """The detections in the first pictured scene with each attack, as JPEG.
+
+    A hash chose this scene, so that it is the same for every attack and detector.
+    """
+    first = {name: results.pairs(CamouflageName.read(name), RENDERER)[:1] for name in attacks}
+    return {
+        name: inside(folder, pair.adversarial, folder / "pairs.json").read_bytes()
+        for name, every in first.items()
+        for folder, pair in every
+    }
 
 
 def scenes_of(results: Results) -> str:
