@@ -313,7 +313,7 @@ def test_the_renderer_is_the_stages_own(scored, tmp_path):
 def test_false_alarms_on_rendered_ground_without_vehicles_keep_their_scores(scored, tmp_path):
     images = flat_images([153, 204, 102, 51], vehicles=0)
     sets = [
-        BaselineSet("empty", images, real=False),
+        BaselineSet("empty", images, real=False, places=("a", "b", "b", "a")),
         BaselineSet("photographs", images, real=True),
         BaselineSet("driven on", flat_images([204] * 4), real=False),
     ]
@@ -323,6 +323,7 @@ def test_false_alarms_on_rendered_ground_without_vehicles_keep_their_scores(scor
     # Four images of 8 m: less than one alarm is allowed, so the two highest scores are kept.
     assert empty.area_km2 == pytest.approx(4 * 64 / 1e6)
     assert empty.alarm_scores == pytest.approx((0.8, 0.6))
+    assert empty.alarm_clusters == (1, 0)
     assert empty.false_alarms_per_km2 == pytest.approx(2 / empty.area_km2)
     assert [row.alarm_scores for row in others] == [(), ()]
 

@@ -26,12 +26,14 @@ from tests.results.test_worst import outcome
 NOTHING = Interval(math.nan, math.nan, math.nan)
 
 
-def ground(area_km2, scores, *, detector="retinanet", threshold=0.5, vehicles=0, real=False):
+def ground(
+    area_km2, scores, clusters=(), *, detector="retinanet", threshold=0.5, vehicles=0, real=False
+):
     alarms = sum(score >= threshold for score in scores)
     return Baseline(
         detector, "ground without vehicles", 10, vehicles, real, NOTHING, "images", 10, math.nan,
         NOTHING, NOTHING, threshold, alarms / area_km2, area_km2=area_km2,
-        alarm_scores=tuple(scores),
+        alarm_scores=tuple(scores), alarm_clusters=tuple(clusters),
     )  # fmt: skip
 
 
@@ -48,6 +50,16 @@ def test_thresholds_lie_midway_between_the_last_alarm_and_the_next():
     assert (ten.lowest, ten.highest) == (pytest.approx(0.84), pytest.approx(0.90))
     (said,) = alarms_in_words({"retinanet": [frozen, hundred, ten]})
     assert "100 per km² are at 0.61 (0.60 to 0.72 by chance)." in said
+
+
+def test_several_alarms_of_one_place_leave_more_to_chance():
+    scores = [*(0.9 - i / 100 for i in range(61))]
+    # 30 alarms on 10 places might be 11 to 49: 1.96 √(10 · 3²) is 18.6.
+    _, hundred, ten = points_of(ground(0.3, scores, [i // 3 for i in range(61)]))
+    assert (hundred.lowest, hundred.highest) == (pytest.approx(0.41), pytest.approx(0.80))
+    # 3 alarms on one place might be none, or 9.
+    assert (ten.lowest, ten.highest) == (pytest.approx(0.81), pytest.approx(0.90))
+    assert points_of(ground(0.3, scores, range(61))) == points_of(ground(0.3, scores))
 
 
 def test_equal_scores_count_together():
@@ -170,15 +182,20 @@ def test_intervals_cover_the_thresholds_that_chance_might_have_set(tmp_path):
     assert below[0] == pytest.approx(math.hypot(below[1], 2 / 3 - (3 / 5 - 1 / 5)))
 
 
-def test_nineteen_of_twenty_intervals_hold_the_rate_at_the_true_threshold():
+@pytest.mark.parametrize("largest", [1, 5])
+def test_nineteen_of_twenty_intervals_hold_the_rate_at_the_true_threshold(largest):
+    """Alarms come alone, or one to five of a place have almost the same score."""
     generator = np.random.default_rng(0)
     tiles = [(f"tile {n}", f"vehicle {n}") for n in range(200)]
     held = {"with": 0, "difference": 0, "without": 0}
     runs = 200
     for _ in range(runs):
         # 1,000 alarms per km² above a score of 0, uniformly: 100 above 0.9.
-        alarms = np.sort(generator.random(generator.poisson(350)))[::-1][:72]
-        point = points_of(ground(0.35, alarms.tolist()))[1]
+        places = generator.random(generator.poisson(350 * 2 / (1 + largest)))
+        cluster = np.repeat(np.arange(len(places)), generator.integers(1, largest + 1, len(places)))
+        alarms = places[cluster] + generator.normal(0, 1e-3, len(cluster))
+        kept = np.argsort(-alarms)[:72]
+        point = points_of(ground(0.35, alarms[kept].tolist(), cluster[kept].tolist()))[1]
         # Half of the vehicles with T-U score below 0.9, a quarter of those with a control.
         scores = generator.uniform([0.7, 0.8], [1.1, 1.2], size=(200, 2)).T
         thresholds = (point.threshold, point.lowest, point.highest)

@@ -59,9 +59,8 @@ def _measure(detector: Detector, images: BaselineSet, view: SceneView, seed: int
     by_place = len(set(images.places)) > 1
     clusters = list(images.places) if by_place else list(map(str, range(centre.images)))
     ap = ap_interval(centre, clusters, generator=generator)
-    precision, recall = _threshold_intervals(
-        centre, _numbers(clusters), detector.threshold, generator
-    )
+    numbers = _numbers(clusters)
+    precision, recall = _threshold_intervals(centre, numbers, detector.threshold, generator)
     lenient = view.matched(detector.name, LENIENT_MATCH)
     called = view.called_another_class(detector)
     area_m2 = images.images.area_m2
@@ -90,6 +89,7 @@ def _measure(detector: Detector, images: BaselineSet, view: SceneView, seed: int
         called_another_class=float("nan") if called is None else _share(called),
         area_km2=area_m2 / 1e6,
         alarm_scores=tuple(centre.scores[:kept].tolist()),
+        alarm_clusters=tuple(numbers[centre.image_of_detection[:kept]].tolist()),
     )
 
 

@@ -1,6 +1,7 @@
 """Operating points of a detector: its frozen threshold, and two with given false alarms."""
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -19,7 +20,7 @@ _FEWEST = 3
 class OperatingPoint:
     """A threshold with its false alarms per km² of empty ground; all nan if `why` gives a reason.
 
-    Chance in the number of false alarms (Poisson, 95 %) puts it between `lowest` and `highest`.
+    Chance in the number of false alarms (95 %) puts it between `lowest` and `highest`.
     """
 
     detector: str
@@ -35,7 +36,8 @@ def points_of(ground: Baseline) -> list[OperatingPoint]:
     """Returns a detector's operating points from its baseline on empty ground, frozen first.
 
     For a given rate, this is the lowest threshold with at most so many false alarms, midway between
-    two scores. Equal scores count together.
+    two scores. Equal scores count together. Chance is that of a Poisson number of clusters: one
+    object on the ground often raises several alarms.
     """
     frozen = (FROZEN, ground.threshold, ground.false_alarms_per_km2)
     points = [OperatingPoint(ground.detector, *frozen)]
@@ -60,7 +62,8 @@ def points_of(ground: Baseline) -> list[OperatingPoint]:
         values = [math.nan, math.nan]
         if not why:
             values = [(scores[count - 1] + scores[count]) / 2, count / ground.area_km2]
-            spread = 1.96 * math.sqrt(count)
+            clusters = Counter(ground.alarm_clusters[:count] or range(count))
+            spread = 1.96 * math.sqrt(sum(size**2 for size in clusters.values()))
             ends = (round(count + spread), max(round(count - spread), 1) - 1)
             values += [scores[min(end, len(scores) - 1)] for end in ends]
         points.append(OperatingPoint(ground.detector, name, *values, why=why))

@@ -53,7 +53,8 @@ class Baseline:
     the lenient rule, which older rows lack. Vehicles are called another class if only that is
     detected on them, which only detectors with other classes can show. A camera took `real` images,
     and the note states their source and processing. On rendered ground without vehicles, the
-    highest scores of false alarms are kept in descending order: more than 100 per km², or all.
+    highest scores of false alarms are kept in descending order: more than 100 per km², or all, each
+    with the number of its cluster, which older rows lack.
     """
 
     detector: Name
@@ -76,6 +77,7 @@ class Baseline:
     called_another_class: Fraction = math.nan
     area_km2: Annotated[float, Meta(ge=0, le=1e9)] = math.nan
     alarm_scores: Annotated[tuple[_Threshold, ...], Meta(max_length=10**7)] = ()
+    alarm_clusters: Annotated[tuple[WholeNumber, ...], Meta(max_length=10**7)] = ()
 
     @property
     def leniently(self) -> str:

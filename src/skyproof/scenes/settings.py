@@ -19,10 +19,7 @@ _LOWEST_SUN_RAD = math.radians(25)
 _HIGHEST_SUN_RAD = math.radians(65)
 TRAINING_MARGIN_M = 0.5
 """Margin of images to train on: photographs show vehicles that their edges cut in half."""
-TRAINING_WEATHER = (
-    *("clear", "haze", "overcast", "exposure", "noise", "jpeg"),
-    *("low_sun", "low_sun"),
-)
+TRAINING_WEATHER = ("clear", "haze", "overcast", "exposure", "noise", "jpeg", *2 * ("low_sun",))
 _VEHICLE_M2 = 80.0  # of the image for each of the most vehicles that an image to train on shows
 _STRIDE_PX = 32  # sides of images are multiples of it, as detectors require
 _SMALLEST_PX = 96
@@ -109,10 +106,7 @@ class SceneSettings:
         return half_m
 
     def for_training(self, gsd_m: float, empty_share: float = 0.0) -> "SceneSettings":
-        """Returns settings for images to train on, in all weathers and with vehicles at the edges.
-
-        `empty_share` is that of the images without vehicles.
-        """
+        """Returns settings for images to train on, an `empty_share` of them without vehicles."""
         return replace(
             self,
             vehicles_maximum=max(1, int((self.size_px * gsd_m) ** 2 / _VEHICLE_M2)),
