@@ -74,6 +74,13 @@ def is_name(text: str) -> bool:
     return re.search(_NAME, text) is not None
 
 
+class Checked:
+    """A dataclass of this base checks its fields against their limits when it is made."""
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+
+
 def check_ranges(settings: object) -> None:
     """Checks the fields of a dataclass against the limits in their annotations.
 

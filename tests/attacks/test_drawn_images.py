@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -141,3 +142,8 @@ def test_without_vehicles_or_of_another_resolution_nothing_is_trained(
     coarse = replace(photographs(rendered, "train"), gsd_m=0.2)
     with pytest.raises(ConfigurationError, match=r"0\.2 m per pixel, validation images 0\.125"):
         run(rendered, tmp_path, coarse)
+    ground = copy.copy(rendered.ground)
+    ground.gsd_m = 0.2
+    coarse_world = replace(world_of(rendered), backgrounds=ground)
+    with pytest.raises(ConfigurationError, match=r"0\.2 m per pixel, validation images 0\.125"):
+        run(rendered, tmp_path, drawn=coarse_world)

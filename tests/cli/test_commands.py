@@ -131,21 +131,35 @@ def test_train_renders_images_as_it_needs_them(
     answer = skyproof(*call, "--data", finished, "--out", tmp_path / "drawn")
     assert answer.code == 0, answer.err
     card = json.loads((tmp_path / "drawn/detector.json").read_text())
-    assert card["trained_on"] == "rendered on finished in training"
+    assert card["trained_on"] == "rendered on the ground of finished"
+    assert "images are rendered on the ground of" in answer.out
     assert card["image_size_px"] == [192, 192]
     images = finished / "datasets/train"
     assert skyproof(*call, "--data", finished, images, "--out", tmp_path / "both").code == 0
     both = json.loads((tmp_path / "both/detector.json").read_text())
     assert both["training"]["images"] == 12
-    assert both["trained_on"].endswith("; rendered on finished in training")
+    assert both["trained_on"].endswith("; rendered on the ground of finished")
     assert both["weights_sha256"] != card["weights_sha256"]
     other = tmp_path / "other"
     other.symlink_to(finished)
     refused = skyproof(*call, "--data", finished, other, "--out", tmp_path / "x")
     refused.refused("--data expects one folder", "got 2", "skyproof render")
     (tmp_path / "bare/backgrounds").mkdir(parents=True)
-    skyproof(*call, "--data", tmp_path / "bare", "--out", tmp_path / "x").refused("bare")
+    bare = skyproof(*call, "--data", tmp_path / "bare", "--out", tmp_path / "x")
+    bare.refused(str(tmp_path / "bare/backgrounds/index.json"), "is missing")
+    # Tiles of 96 px have no room for images of 24 m.
+    tiny = tmp_path / "tiny"
+    tiled = skyproof("ground", "--out", tiny / "backgrounds", "--tiling.size-px", 96)
+    assert tiled.code == 0, tiled.err
+    (tiny / "fleets").symlink_to(finished / "fleets")
+    small = skyproof(*call, "--data", tiny, "--out", tmp_path / "x")
+    small.refused("no train tile of at least 192 px", "cut larger tiles")
     assert not (tmp_path / "x").exists()
+    # A folder of labelled images is read, whatever else it holds.
+    mixed = shutil.copytree(images, tmp_path / "mixed")
+    (mixed / "backgrounds").mkdir()
+    assert skyproof(*call, "--data", mixed, "--out", tmp_path / "read").code == 0
+    assert json.loads((tmp_path / "read/detector.json").read_text())["training"]["images"] == 12
 
 
 def test_attack(finished: Path, tmp_path: Path, skyproof: Skyproof) -> None:

@@ -1,6 +1,5 @@
 """What the report says of hardening, and that its command is one that works."""
 
-import base64
 import json
 import re
 import shutil
@@ -87,8 +86,7 @@ def test_a_hardened_detector_stands_beside_its_parent(of_one, tmp_path, monkeypa
     folder = after / "detectors" / DETECTORS[0]
     results = Results.open(of_one)
     rates, ap = known_rates(results)
-    # Fabricated pictures are all alike.
-    shown = {name: picture + b"before" for name, picture in first_pictures(results, rates).items()}
+    shown = {name: f"data:image/jpeg;base64,{name.encode().hex()}" for name in rates}
     digests = ("0" * 64, scenes_of(results))
     parent = Parent(rates, ap, ["T-U", "T-Ma"], *digests, shown)
     write_json(folder / PARENT_FILE, to_builtins(parent))
@@ -96,9 +94,7 @@ def test_a_hardened_detector_stands_beside_its_parent(of_one, tmp_path, monkeypa
     # The same scene before and after, in an attack on each detector.
     (own,) = first_pictures(Results.open(after), ["T-U"]).values()
     for picture, words in ((shown["T-U"], "before"), (own, "after")):
-        data = base64.b64encode(picture).decode()
-        alt = f"With T-U, {words} hardening"
-        assert f'<img src="data:image/jpeg;base64,{data}" alt="{alt}">' in page
+        assert f'<img src="{picture}" alt="With T-U, {words} hardening">' in page
     (table,) = re.findall(r"before and after hardening, each by.*?</table>", page, flags=re.S)
     (row,) = re.findall(r"<tr><td>T-U</td>(.*?)</tr>", table, flags=re.S)
     (hidden,) = (
@@ -117,6 +113,11 @@ def test_a_hardened_detector_stands_beside_its_parent(of_one, tmp_path, monkeypa
     page = write_report(after).read_text()
     assert "Its parent was assessed on other scenes" in page
     assert "each by attacks" not in page
+    for picture in ("https://example.org/a.jpg", "data:image/svg+xml;base64,AA==", "x" * 10**7):
+        forged = {**to_builtins(parent), "pictures": {"T-U": picture}}
+        write_json(folder / PARENT_FILE, forged)
+        with pytest.raises(StoredFileError, match="harden the detector again"):
+            write_report(after)
     (folder / PARENT_FILE).write_text("{}")
     with pytest.raises(StoredFileError, match="harden the detector again"):
         write_report(after)

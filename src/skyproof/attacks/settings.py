@@ -8,7 +8,7 @@ from tyro.conf import Suppress
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
-from skyproof.ranges import Count, Seed, check_ranges
+from skyproof.ranges import Checked, Count, Seed, check_ranges
 
 Method = Literal["skyproof", "paper"]
 """How an attack optimises: as skyproof does, or as the paper's text says."""
@@ -85,7 +85,7 @@ class AttackSettings:
 
 
 @dataclass(frozen=True)
-class QuerySettings:
+class QuerySettings(Checked):
     """How a query attack optimises a camouflage.
 
     Attributes:
@@ -99,6 +99,3 @@ class QuerySettings:
     batch_size: Annotated[int, Meta(ge=1, le=4096)] = 8
     keep_at: Annotated[tuple[Count, ...], Meta(max_length=1000)] = ()
     seed: Seed = 0
-
-    def __post_init__(self) -> None:
-        check_ranges(self)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from skyproof.cli.import_detector import say_card
-from skyproof.console import progress_bar
+from skyproof.console import progress_bar, say
 from skyproof.detectors.settings import TRAINING_PRESETS, TrainingChanges
 from skyproof.errors import ConfigurationError
 from skyproof.layout import Layout
@@ -74,7 +74,7 @@ class Train:
                 )
             parent = network.card
         origins = [parent.trained_on if parent else "", *(each.origin for each in sets)]
-        origins += [f"rendered on {folder.resolve().name} in training" for folder in self._drawn]
+        origins += [f"rendered on the ground of {each.resolve().name}" for each in self._drawn]
         with progress_bar(f"train {self.detector}") as update:
 
             def show(row: Mapping[str, Any]) -> None:
@@ -97,11 +97,14 @@ class Train:
 
     @property
     def _drawn(self) -> list[Path]:
-        """The folders whose ground and vehicles are rendered."""
-        return [folder for folder in self.data if Layout(folder).backgrounds.is_dir()]
+        """The folders whose ground and vehicles are rendered: those without labelled images."""
+        worlds = [folder for folder in self.data if Layout(folder).backgrounds.is_dir()]
+        return [folder for folder in worlds if not (folder / "annotations.json").exists()]
 
     def _world(self, gsd_m: float) -> "World | None":
         """The world that images are rendered of; None without one."""
+        import torch
+
         from skyproof.attacks.world import World
 
         if not self._drawn:
@@ -115,4 +118,7 @@ class Train:
         size_px = side_px(_SIDE_M, gsd_m)
         fleet = layout.fleets / "train"
         world = World.open(layout.backgrounds, fleet, size_px=size_px, split="train")
+        # Tiles that are too small are refused before anything is written.
+        world.draw(1, generator=torch.Generator().manual_seed(0))
+        say(f"  images are rendered on the ground of {layout.folder}")
         return world.for_training(_EMPTY_SHARE)

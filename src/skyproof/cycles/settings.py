@@ -7,11 +7,11 @@ from typing import Annotated, Literal
 from msgspec import Meta
 from tyro.conf import Suppress
 
-from skyproof.ranges import check_ranges
+from skyproof.ranges import Checked
 
 
 @dataclass(frozen=True)
-class CyclesSettings:
+class CyclesSettings(Checked):
     """How finely crops are path-traced, and the finish of the camouflage paint.
 
     Attributes:
@@ -26,9 +26,6 @@ class CyclesSettings:
     samples: Annotated[int, Meta(ge=1, le=65_536)] = 32
     finish: Literal["gloss", "matt"] = "gloss"
     margin_m: Annotated[float, Meta(ge=0, le=100)] = 1.0
-
-    def __post_init__(self) -> None:
-        check_ranges(self)
 
 
 @dataclass(frozen=True, kw_only=True)

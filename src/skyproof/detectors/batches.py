@@ -20,7 +20,7 @@ Batch = tuple[Float[Tensor, "B 3 H W"], list[Float[Tensor, "_n 4"]]]
 
 @runtime_checkable
 class DrawnImages(Protocol):
-    """Labelled images that are rendered as they are needed; equal digests draw equal ones."""
+    """Labelled images rendered as they are needed; the digest is that of ground and vehicles."""
 
     @property
     def digest(self) -> str: ...

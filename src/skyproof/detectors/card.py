@@ -14,7 +14,7 @@ from skyproof.detectors.transformers_folder import FOLDER_WEIGHTS
 from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import write_json
-from skyproof.ranges import Fraction, GroundResolution, Name, WholeNumber, check_ranges, is_name
+from skyproof.ranges import Checked, Fraction, GroundResolution, Name, WholeNumber, is_name
 from skyproof.words import detector_name, listed
 
 REFERENCE_DETECTORS = ("retinanet", "faster_rcnn")
@@ -56,7 +56,7 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 
 
 @dataclass(frozen=True)
-class DetectorCard:
+class DetectorCard(Checked):
     """The content of `detector.json`. A black-box detector needs name, threshold and resolution.
 
     Attributes:
@@ -85,9 +85,6 @@ class DetectorCard:
     threshold_from: Annotated[str, Meta(max_length=10_000)] = ""
     brought: Blueprint | None = None
     weights_sha256: Digest = field(default="", compare=False)
-
-    def __post_init__(self) -> None:
-        check_ranges(self)
 
     @property
     def trainable(self) -> bool:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict, get_args, 
 from msgspec import Meta
 from tyro.conf import Suppress
 
-from skyproof.ranges import Count, Fraction, check_ranges
+from skyproof.ranges import Checked, Count, Fraction
 
 # Sizes of our own networks, for CPU and GPU.
 Size = Literal["slim", "full"]
@@ -15,7 +15,7 @@ DETECTOR_NAMES = ("retinanet", "faster_rcnn", "yolov5")
 
 
 @dataclass(frozen=True)
-class TrainingSettings:
+class TrainingSettings(Checked):
     """How long and how fast a detector is trained.
 
     Attributes:
@@ -43,9 +43,6 @@ class TrainingSettings:
     jitter: Suppress[Annotated[float, Meta(ge=0, le=10)]] = 1.0
     validate_every: Suppress[Count] = 250
     checkpoint_every: Suppress[Count] = 100
-
-    def __post_init__(self) -> None:
-        check_ranges(self)
 
 
 if TYPE_CHECKING:

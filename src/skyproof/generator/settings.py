@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from msgspec import Meta
 from tyro.conf import Suppress
 
-from skyproof.ranges import Seed, check_ranges
+from skyproof.ranges import Checked, Seed
 
 Method = Literal["layered", "gan"]
 """Layers between those of fitted vehicles; or a network that is trained on their maps."""
@@ -19,7 +19,7 @@ _Count = Annotated[int, Meta(ge=1, le=1000)]
 
 
 @dataclass(frozen=True)
-class FitSettings:
+class FitSettings(Checked):
     """How photographed vehicles are fitted.
 
     Attributes:
@@ -34,12 +34,9 @@ class FitSettings:
     choose_steps: _Steps = 12
     steps: _Steps = 60
 
-    def __post_init__(self) -> None:
-        check_ranges(self)
-
 
 @dataclass(frozen=True)
-class AdversarialSettings:
+class AdversarialSettings(Checked):
     """How the network of the method gan is trained.
 
     Attributes:
@@ -51,9 +48,6 @@ class AdversarialSettings:
     steps: _Steps = 4000
     batch_size: _Count = 16
     learning_rate: Annotated[float, Meta(gt=0, le=1)] = 2e-4
-
-    def __post_init__(self) -> None:
-        check_ranges(self)
 
 
 @dataclass(frozen=True)

@@ -97,10 +97,10 @@ def harden_run(request: Harden) -> None:
         )
     write_json(folder / PARENT_FILE, to_builtins(parent))
     say_card(hardened, folder)
-    share = percent(hardened.training["trained_share"])
+    made = hardened.training
     say(
-        f"  Its weights are {share} of the trained ones and the rest of those before: the most, "
-        "from a quarter on, that costs at most a point of AP on the validation images."
+        f"  {percent(made['trained_share'])} of the trained weights are mixed with those before. "
+        f"AP on the validation images falls by {100 * made['ap_lost']:.1f} points."
     )
     say(f"Assess it anew: {_assess(config, folder)}")
 

@@ -60,9 +60,9 @@ def harden(
     steps of its own. Then a fresh one follows it, and the old one returns from time to time.
 
     The result mixes the parent's weights with the averaged ones of the last step: as much of these
-    as costs at most 1 point of AP on the validation images. Scores on images without camouflage
-    choose no step, because they say nothing about robustness. A stopped hardening continues, and
-    raises errors, as `train` does.
+    as costs at most 1 point of AP on the validation images, and a quarter at least. Scores on
+    images without camouflage choose no step, because they say nothing about robustness. A stopped
+    hardening continues, and raises errors, as `train` does.
 
     Args:
         detector: a detector with its card, on the device to work on.

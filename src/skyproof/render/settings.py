@@ -6,7 +6,7 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from skyproof.ranges import Fraction, check_ranges
+from skyproof.ranges import Checked, Fraction
 from skyproof.scenes.light import Light
 from skyproof.scenes.sensor import Blur, Noise, Sensor
 
@@ -19,7 +19,7 @@ _ROUNDING_M = 0.05
 
 
 @dataclass(frozen=True)
-class RenderSettings:
+class RenderSettings(Checked):
     """Light, material and sensor of the differentiable renderer.
 
     Attributes:
@@ -44,9 +44,6 @@ class RenderSettings:
     self_shadows: bool = True
     gloss: Fraction = 1.0
     ground_reflectance: Fraction = 0.15
-
-    def __post_init__(self) -> None:
-        check_ranges(self)
 
     def sensor_on(self, ground: Sensor, gsd_m: float) -> Sensor:
         """Returns the sensor for vehicles on ground that the given sensor took."""

@@ -254,20 +254,14 @@ def embedded_jpeg(path: Path) -> str:
     with open_picture(path, REMEDY) as picture:
         if picture.format != "JPEG":
             raise StoredFileError(f"{path} is a {picture.format} file, not JPEG; {REMEDY}.")
-    return jpeg_uri(path.read_bytes())
+    return f"data:image/jpeg;base64,{base64.b64encode(path.read_bytes()).decode()}"
 
 
-def jpeg_uri(content: bytes) -> str:
-    """Returns the content of a JPEG file as a data URI."""
-    return f"data:image/jpeg;base64,{base64.b64encode(content).decode()}"
-
-
-def embedded(path: Path | None, *, lossless: bool = True) -> str | None:
-    """Returns a picture as a data URI: PNG where texels matter, else JPEG."""
-    if path is None:
-        return None
+def embedded(path: Path, *, lossless: bool = True, largest_px: int = 4096) -> str:
+    """Returns a picture as a data URI, reduced if larger: PNG where texels matter, else JPEG."""
     buffer = io.BytesIO()
     picture = Image.fromarray(read_pixels(path, REMEDY))
+    picture.thumbnail((largest_px, largest_px))
     kind = "png" if lossless else "jpeg"
     # PNG ignores the quality, and JPEG is not optimised.
     picture.save(buffer, kind, optimize=lossless, quality=80)

@@ -12,7 +12,7 @@ from skyproof.detectors.card import PARENT_FILE, Digest
 from skyproof.documents import read_document
 from skyproof.files import file_digest, inside
 from skyproof.layout import Layout
-from skyproof.report.figures import jpeg_uri
+from skyproof.report.figures import embedded
 from skyproof.results.operating_points import EQUAL_ALARMS
 from skyproof.results.result import FROZEN
 from skyproof.results.results import RENDERER, Results
@@ -20,8 +20,10 @@ from skyproof.results.statistics.intervals import Interval
 from skyproof.results.stored import Finite, Label
 from skyproof.words import listed, percent
 
+_PICTURE_PX = 400
 _REMEDY = "copy the whole folder again, or harden the detector again"
 
+_Jpeg = Annotated[str, Meta(max_length=10**6, pattern="^data:image/jpeg;base64,[A-Za-z0-9+/=]+$")]
 _Limits = tuple[Finite | None, Finite | None, Finite | None]
 
 
@@ -44,7 +46,7 @@ class Parent(Struct, frozen=True):
     attacks: list[Label]
     weights_sha256: Digest
     scenes_sha256: Digest
-    pictures: dict[Label, Annotated[bytes, Meta(max_length=10**6)]] = {}
+    pictures: dict[Label, _Jpeg] = {}
 
 
 @dataclass(frozen=True)
@@ -96,7 +98,7 @@ def beside_parent(results: Results) -> Beside | None:
     both = {name: (_interval(parent.ap[name]), _interval(ap[name])) for name in shared}
     own = first_pictures(results, attacks)
     pictures = [
-        (name, jpeg_uri(parent.pictures[name]), jpeg_uri(own[name]))
+        (name, parent.pictures[name], own[name])
         for name in attacks
         if name in parent.pictures and name in own
     ]
@@ -140,14 +142,16 @@ def known_rates(results: Results) -> tuple[dict[str, dict[str, _Rate]], dict[str
     return rates, ap
 
 
-def first_pictures(results: Results, attacks: Iterable[str]) -> dict[str, bytes]:
-    """The detections in the first pictured scene with each attack, as JPEG.
+def first_pictures(results: Results, attacks: Iterable[str]) -> dict[str, str]:
+    """The detections in the first pictured scene with each attack, as JPEG in a data URI.
 
     A hash chose this scene, so that it is the same for every attack and detector.
     """
     first = {name: results.pairs(CamouflageName.read(name), RENDERER)[:1] for name in attacks}
     return {
-        name: inside(folder, pair.adversarial, folder / "pairs.json").read_bytes()
+        name: embedded(
+            inside(folder, pair.adversarial, folder), lossless=False, largest_px=_PICTURE_PX
+        )
         for name, every in first.items()
         for folder, pair in every
     }

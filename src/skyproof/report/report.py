@@ -284,7 +284,8 @@ class _Contents:
         return Markup(loss_figure("Training of the detectors", curves)) if curves else None
 
     def picture(self, row: Result, file: str, *, lossless: bool = True) -> str | None:
-        return embedded(self._results.pattern(row.camouflage, file), lossless=lossless)
+        path = self._results.pattern(row.camouflage, file)
+        return None if path is None else embedded(path, lossless=lossless)
 
     def pairs(self, row: Result, count: int | None = None) -> list[_Picture]:
         """Returns the pictured scenes of a camouflage, or the first ones."""

@@ -6,7 +6,7 @@ from typing import Annotated, SupportsFloat
 
 from msgspec import Meta
 
-from skyproof.ranges import Fraction, Radians, check_ranges
+from skyproof.ranges import Checked, Fraction, Radians
 from skyproof.scenes.scene import Sun, SunElevation
 
 CLEAR_SKY = (0.206, 0.253, 0.351)
@@ -22,7 +22,7 @@ _Deviation = Annotated[float, Meta(ge=0, le=3.2)]
 
 
 @dataclass(frozen=True)
-class SunEstimate:
+class SunEstimate(Checked):
     """The sun's position in the tile's axes, from x (right) towards y (up), with its errors."""
 
     azimuth_rad: Radians
@@ -31,16 +31,13 @@ class SunEstimate:
     elevation_sd_rad: _Deviation = 0.0
     known_from: Annotated[str, Meta(max_length=200)] = ""
 
-    def __post_init__(self) -> None:
-        check_ranges(self)
-
     @property
     def sun(self) -> Sun:
         return Sun(self.azimuth_rad, self.elevation_rad)
 
 
 @dataclass(frozen=True)
-class Light:
+class Light(Checked):
     """How a photograph shows light. The default is the renderer's own: a clear day, well exposed.
 
     Triples are linear red, green and blue; 1 is the picture's brightest possible value.
@@ -60,9 +57,6 @@ class Light:
     shoulder: Annotated[float, Meta(ge=0.3, le=1)] = 1.0
     sky: tuple[Fraction, Fraction, Fraction] = CLEAR_SKY
     sun: SunEstimate | None = None
-
-    def __post_init__(self) -> None:
-        check_ranges(self)
 
 
 def rounded_levels(levels: Iterable[SupportsFloat]) -> tuple[float, float, float]:

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from skyproof.ranges import check_ranges
+from skyproof.ranges import Checked
 
 PAPER_BLUR_SIGMA_PX = 2.4
 """The best blur for the paper's own imagery (figure S5)."""
@@ -21,14 +21,11 @@ _SHARPEST_PX = 0.01
 
 
 @dataclass(frozen=True)
-class Sensor:
+class Sensor(Checked):
     """Standard deviations of blur and of noise (sRGB units); the default is a sharp orthophoto."""
 
     blur_sigma_px: Blur = 0.7
     noise: Noise = 0.006
-
-    def __post_init__(self) -> None:
-        check_ranges(self)
 
     @property
     def blur_radius_px(self) -> int:

@@ -7,14 +7,14 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from skyproof.ranges import Fraction, Name, check_ranges
+from skyproof.ranges import Checked, Fraction, Name
 
 LOW_SUN_ELEVATION_RAD = (math.radians(8), math.radians(20))
 """The range of the sun's uniform elevation under "low_sun"."""
 
 
 @dataclass(frozen=True)
-class Weather:
+class Weather(Checked):
     """Effects between the ground and the picture; the default is a clear day and a good camera.
 
     Attributes:
@@ -33,9 +33,6 @@ class Weather:
     exposure_stops: Annotated[float, Meta(ge=-16, le=16)] = 0.0
     noise: Fraction = 0.0
     jpeg_quality: Annotated[int, Meta(ge=1, le=95)] | None = None
-
-    def __post_init__(self) -> None:
-        check_ranges(self)
 
 
 CLEAR = Weather()
