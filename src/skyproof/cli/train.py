@@ -66,7 +66,8 @@ class Train:
         validation = Dataset.open(self.validation)
         world = self._world(validation.gsd_m)
         if self.start is not None:
-            (network,) = load_ensemble([self.start], device, validation.gsd_m)
+            shown = validation if training is None else training
+            (network,) = load_ensemble([self.start], device, shown.gsd_m)
             if (network.name, network.size) != kind:
                 raise ConfigurationError(
                     f"--from {self.start} expects a {' '.join(kind)} that skyproof trained, got a "
