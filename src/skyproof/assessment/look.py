@@ -29,7 +29,7 @@ from skyproof.imagery.tiles.grid import Cell, Grid, cells_of, lay_grids
 from skyproof.imagery.tiles.placed_labels import PlacedLabels, vehicle_classes
 from skyproof.imagery.tiles.sources import Source, notes_on
 from skyproof.imagery.tiles.tiling import refuse_too_few
-from skyproof.imagery.tiles.whole_cells import corners_of
+from skyproof.imagery.tiles.whole_cells import outline_of
 from skyproof.imagery.words import merged_notes
 from skyproof.results.statistics.acceptance import fewest_tiles
 from skyproof.results.statistics.planning import (
@@ -184,7 +184,7 @@ def _ground_m2(sources: Sequence[Source]) -> float:
     shown = defaultdict[str, list[Polygon]](list)
     for source in sources:
         across_m, down_m = source.georeference.gsd_m
-        outline = Polygon(corners_of(source))
+        outline = outline_of(source)
         if source.georeference.plane is None:
             outline = box(0, 0, source.width_px * across_m, source.height_px * down_m)
         shown[source.georeference.plane or str(source.path)].append(outline)

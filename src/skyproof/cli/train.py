@@ -1,6 +1,6 @@
 """`skyproof train`: a detector of ours, trained on a dataset folder."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -61,10 +61,11 @@ class Train:
         network, parent = build_detector(*kind, generator=weights), None
         settings = replace(TRAINING_PRESETS[kind], **self.settings)
         device = choose_device(self.device)
-        sets = [Dataset.open(folder) for folder in self.data if folder not in self._drawn]
-        training = Dataset.joined(sets) if sets or not self._drawn else None
+        rendered = [folder for folder in self.data if _is_rendered(folder)]
+        sets = [Dataset.open(folder) for folder in self.data if folder not in rendered]
+        training = Dataset.joined(sets) if sets or not rendered else None
         validation = Dataset.open(self.validation)
-        world = self._world(validation.gsd_m)
+        world = _open_world(rendered, validation.gsd_m) if rendered else None
         if self.start is not None:
             shown = validation if training is None else training
             (network,) = load_ensemble([self.start], device, shown.gsd_m)
@@ -75,7 +76,7 @@ class Train:
                 )
             parent = network.card
         origins = [parent.trained_on if parent else "", *(each.origin for each in sets)]
-        origins += [f"rendered on the ground of {each.resolve().name}" for each in self._drawn]
+        origins += [f"rendered on the ground of {each.resolve().name}" for each in rendered]
         with progress_bar(f"train {self.detector}") as update:
 
             def show(row: Mapping[str, Any]) -> None:
@@ -96,30 +97,28 @@ class Train:
             )
         say_card(card, self.out)
 
-    @property
-    def _drawn(self) -> list[Path]:
-        """The folders whose ground and vehicles are rendered: those without labelled images."""
-        worlds = [folder for folder in self.data if Layout(folder).backgrounds.is_dir()]
-        return [folder for folder in worlds if not (folder / "annotations.json").exists()]
 
-    def _world(self, gsd_m: float) -> "World | None":
-        """The world that images are rendered of; None without one."""
-        import torch
+def _is_rendered(folder: Path) -> bool:
+    """Whether images are rendered of a folder's ground and vehicles: it has no labelled images."""
+    return Layout(folder).backgrounds.is_dir() and not (folder / "annotations.json").exists()
 
-        from skyproof.attacks.world import World
 
-        if not self._drawn:
-            return None
-        if len(self._drawn) > 1:
-            raise ConfigurationError(
-                f"--data expects one folder to render from, got {len(self._drawn)}; render images "
-                "of the others (skyproof render)."
-            )
-        layout = Layout(self._drawn[0])
-        size_px = side_px(_SIDE_M, gsd_m)
-        fleet = layout.fleets / "train"
-        world = World.open(layout.backgrounds, fleet, size_px=size_px, split="train")
-        # Tiles that are too small are refused before anything is written.
-        world.draw(1, generator=torch.Generator().manual_seed(0))
-        say(f"  images are rendered on the ground of {layout.folder}")
-        return world.for_training(_EMPTY_SHARE)
+def _open_world(folders: Sequence[Path], gsd_m: float) -> "World":
+    """Opens the one folder that images are rendered of."""
+    import torch
+
+    from skyproof.attacks.world import World
+
+    if len(folders) > 1:
+        raise ConfigurationError(
+            f"--data expects one folder to render from, got {len(folders)}; render images of the "
+            "others (skyproof render)."
+        )
+    layout = Layout(folders[0])
+    size_px = side_px(_SIDE_M, gsd_m)
+    fleet = layout.fleets / "train"
+    world = World.open(layout.backgrounds, fleet, size_px=size_px, split="train")
+    # Tiles that are too small are refused before anything is written.
+    world.draw(1, generator=torch.Generator().manual_seed(0))
+    say(f"  images are rendered on the ground of {layout.folder}")
+    return world.for_training(_EMPTY_SHARE)

@@ -96,12 +96,8 @@ def beside_parent(results: Results) -> Beside | None:
     shown = f"Hardening showed it {listed(parent.attacks)}; all other attacks were held out."
     shared = [name for name in parent.ap if name in ap]
     both = {name: (_interval(parent.ap[name]), _interval(ap[name])) for name in shared}
-    own = first_pictures(results, attacks)
-    pictures = [
-        (name, parent.pictures[name], own[name])
-        for name in attacks
-        if name in parent.pictures and name in own
-    ]
+    own = first_pictures(results, [name for name in attacks if name in parent.pictures])
+    pictures = [(name, parent.pictures[name], picture) for name, picture in own.items()]
     sentences = [_strongest(points, found, hidden), shown]
     return Beside(sentences, points, found, hidden, both, pictures)
 
@@ -150,7 +146,9 @@ def first_pictures(results: Results, attacks: Iterable[str]) -> dict[str, str]:
     first = {name: results.pairs(CamouflageName.read(name), RENDERER)[:1] for name in attacks}
     return {
         name: embedded(
-            inside(folder, pair.adversarial, folder), lossless=False, largest_px=_PICTURE_PX
+            inside(folder, pair.adversarial, folder / "pairs.json"),
+            lossless=False,
+            largest_px=_PICTURE_PX,
         )
         for name, every in first.items()
         for folder, pair in every

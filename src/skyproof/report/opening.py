@@ -117,29 +117,41 @@ def _next_steps(
     baselines: Sequence[BaselineRow],
     hardened: bool,
 ) -> list[str]:
+    steps = []
     unlike = [state.name for state in precheck.states if state.unlike]
     failed = [
         state.name for state in precheck.states if state.outcome == "failed" and not state.unlike
     ]
     unchecked = [state.name for state in precheck.states if state.outcome is None]
+    if unlike:
+        steps.append(
+            f"Quote no rate of {listed(unlike)} for this imagery, because it does not see "
+            "rendered vehicles like photographed ones. Check resolution and labels (--gsd, "
+            "--label-classes) first, then train it with renders beside photographs."
+        )
+    if failed:
+        steps.append(
+            f"Improve {listed(failed)} first: a detector that fails the precheck loses vehicles to "
+            "changes without optimisation, so its attack figures say little."
+        )
+    if unchecked:
+        steps.append(
+            f"Run skyproof precheck on {listed(unchecked)}: nothing in this run folder shows yet "
+            "whether attacks on them mean anything."
+        )
     more = [each for each in acceptance.rulings if each.more_vehicles] if acceptance else []
-    quotable = every and not hardened
-    # Each step, and what makes it worth taking.
-    steps: dict[str, object] = {
-        f"Quote no rate of {listed(unlike)} for this imagery, because it does not see rendered "
-        "vehicles like photographed ones. Check resolution and labels (--gsd, --label-classes) "
-        "first, then train it with renders beside photographs.": unlike,
-        f"Improve {listed(failed)} first: a detector that fails the precheck loses vehicles to "
-        "changes without optimisation, so its attack figures say little.": failed,
-        f"Run skyproof precheck on {listed(unchecked)}: nothing in this run folder shows yet "
-        "whether attacks on them mean anything.": unchecked,
-        "Add test vehicles: the details below say how many would decide.": more,
-        "Measure the detectors on annotated photographs (--labels of assess, --frames of precheck) "
-        "before you quote a figure for real imagery.": not any(each.real for each in baselines),
-        "Harden the detectors as described below, then assess them anew.": hardened,
-        "Quote net figures with their intervals when you compare detectors.": quotable,
-    }
-    return [step for step, reason in steps.items() if reason][:_MOST_STEPS]
+    if more:
+        steps.append("Add test vehicles: the details below say how many would decide.")
+    if not any(each.real for each in baselines):
+        steps.append(
+            "Measure the detectors on annotated photographs (--labels of assess, --frames of "
+            "precheck) before you quote a figure for real imagery."
+        )
+    if hardened:
+        steps.append("Harden the detectors as described below, then assess them anew.")
+    elif every:
+        steps.append("Quote net figures with their intervals when you compare detectors.")
+    return steps[:_MOST_STEPS]
 
 
 def _sure(rate: Interval) -> str:

@@ -22,7 +22,7 @@ from skyproof.imagery.tiles.georeference import (
     to_reference_system,
 )
 from skyproof.imagery.tiles.sources import Source
-from skyproof.imagery.tiles.whole_cells import corners_of, shown_whole
+from skyproof.imagery.tiles.whole_cells import outline_of, shown_whole
 from skyproof.ranges import is_name
 from skyproof.scenes.backgrounds import room_to_turn_rad
 from skyproof.words import counted, named, span
@@ -291,7 +291,7 @@ def _unlaid(sources: Sequence[Source], group: Sequence[int], settings: TilingSet
     crs, unlaid = first.georeference.crs, (0.0, 0.0, settings.size_px, settings.gsd_m)
     if crs is None:
         extents = {i: extent_of(sources[i], None) for i in group}
-        shared = {i: corners_of(sources[i]) for i in group} if len(group) > 1 else {}
+        shared = {i: outline_of(sources[i]) for i in group} if len(group) > 1 else {}
         return Grid(first.path.stem, None, *unlaid, extents, shared)
     middle = first.georeference.transform * (first.width_px / 2, first.height_px / 2)
     code = crs.to_epsg() if is_true_to_scale(crs, middle) else None

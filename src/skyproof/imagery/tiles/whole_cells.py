@@ -16,7 +16,7 @@ Place = tuple[int, int]
 ALONG_RAD = math.radians(10.0)
 
 
-def corners_of(source: Source) -> Polygon:
+def outline_of(source: Source) -> Polygon:
     """Returns the outline of a photograph in the metres of its plane, clockwise."""
     corners = outline(source.width_px, source.height_px, steps=1)
     return Polygon([source.georeference.transform * corner for corner in corners])
