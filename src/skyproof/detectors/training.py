@@ -246,9 +246,9 @@ def _mix(
 ) -> dict[str, float]:
     """Mixes the weights with those at the start, and validates the result.
 
-    They keep the largest share of 1, 3/4, 1/2 and 1/4 that loses at most so much centre AP, else
-    1/4 (Wortsman et al. 2022, "Robust fine-tuning of zero-shot models"). The scores tell it as
-    "trained_share", and "ap_lost".
+    The share of the trained weights is the largest of 1, 3/4 and 1/2 that loses at most so much
+    centre AP, else 1/4 (Wortsman et al. 2022, "Robust fine-tuning of zero-shot models"). It is the
+    "trained_share" of the scores, beside the "ap_lost".
     """
     trained = [parameter.clone() for parameter in detector.parameters()]
     before, scores = 0.0, {}

@@ -20,7 +20,7 @@ _HIGHEST_SUN_RAD = math.radians(65)
 TRAINING_MARGIN_M = 0.5
 """Margin of images to train on: photographs show vehicles that their edges cut in half."""
 TRAINING_WEATHER = ("clear", "haze", "overcast", "exposure", "noise", "jpeg", *2 * ("low_sun",))
-_VEHICLE_M2 = 80.0  # of the image for each of the most vehicles that an image to train on shows
+_VEHICLE_M2 = 80.0  # least ground per vehicle on an image to train on
 _STRIDE_PX = 32  # sides of images are multiples of it, as detectors require
 _SMALLEST_PX = 96
 
