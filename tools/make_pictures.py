@@ -26,23 +26,30 @@ import torch
 from PIL import Image, ImageDraw, ImageFont
 
 from skyproof.camouflage.folder import load_camouflage
-from skyproof.camouflage.name import CamouflageName
 from skyproof.camouflage.random_controls import RandomPatterns, wear_random_shapes
+from skyproof.detectors.detector import TrainableDetector
+from skyproof.detectors.loaded import load_detector
 from skyproof.ground.procedural import write_procedural_backgrounds
 from skyproof.imagery.clearing.exemplar import fill_ground
 from skyproof.imagery.clearing.vehicle_masks import darkness_profiles, estimate_shadow, vehicle_mask
+from skyproof.layout import Layout
+from skyproof.measure.measure import vehicles_seen
+from skyproof.measure.score import draw_scene
+from skyproof.measure.views import SceneChange, SceneRenderer, SceneView, views
 from skyproof.render.dataset import placed_vehicles
 from skyproof.render.portrait import close_up
 from skyproof.render.renderer import TorchRenderer
 from skyproof.render.settings import RenderSettings
+from skyproof.results.result import MAIN_MATCH
 from skyproof.results.results import Results
+from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.light import Light
 from skyproof.scenes.sampling import sample_scenes
-from skyproof.scenes.scene import BackgroundWindow, Camera, Placement, Scene, Sun
+from skyproof.scenes.scene import BackgroundWindow, Camera, Placement, Scene, Sun, read_scenes
 from skyproof.scenes.sensor import PAPER_BLUR_SIGMA_PX, Sensor
 from skyproof.scenes.settings import SceneSettings
 from skyproof.scenes.weather import CONDITIONS
-from skyproof.vehicles.fleet import FleetSettings, mix_fleets, sample_fleet
+from skyproof.vehicles.fleet import Fleet, FleetSettings, mix_fleets, sample_fleet
 from skyproof.vehicles.settings import CATALOGUE_PAINTS, PaintVariety
 from skyproof.vehicles.vehicle import VehicleBatch
 
@@ -319,35 +326,56 @@ def _caption(scene: Scene) -> str:
     }[weather.condition]
 
 
-def draw_demo_result(run_folder: Path, count: int = 4) -> Image.Image:
-    """The first matched pairs of a demo's report: above without, below with the texture."""
-    results = Results.open(run_folder)
-    if results.sources != ["procedural"]:
-        raise SystemExit(
-            "expected a demo on procedural ground: pictures in the repository show procedural data"
-        )
-    pairs = results.pairs(CamouflageName.read("T-U"), "torch")[:count]
-    rows = [
-        [folder / pair.original for folder, pair in pairs],
-        [folder / pair.adversarial for folder, pair in pairs],
-    ]
-    side, gap, label = 320, 6, 30
-    sheet = Image.new("RGB", (count * (side + gap) + gap, 2 * (side + label) + gap), PAPER)
+def draw_demo_result(run_folder: Path, count: int = 8) -> Image.Image:
+    """The demo's first test scenes: as built, then in T-PixFcMa before and after hardening."""
+    rows: list[list[Image.Image]] = []
+    for folder in (run_folder, run_folder / "hardened"):
+        if Results.open(folder).sources != ["procedural"]:
+            raise SystemExit(
+                "expected a demo on procedural ground: pictures in the repository show procedural "
+                "data"
+            )
+        layout = Layout(folder)
+        detector = load_detector(layout.detector("retinanet"))
+        texture = SceneChange("texture", load_camouflage(layout.camouflage("T-PixFcMa")))
+        renderer = TorchRenderer(BackgroundSet.open(layout.backgrounds))
+        stage = SceneRenderer(Fleet.load(layout.fleets / "test"), renderer)
+        scenes = read_scenes(layout.scenes("test"))[:count]
+        seen = views([detector], scenes, [texture], stage, progress=lambda _: None)
+        drawn = [_detections(view, detector) for view in seen]
+        rows += drawn[1:] if rows else drawn
+    side, gap, label = 240, 4, 44
+    sheet = Image.new("RGB", (count * (side + gap) + gap, len(rows) * (side + label) + gap), PAPER)
     pen = ImageDraw.Draw(sheet)
     texts = (
         "As built. RetinaNet: found green, missed orange and dashed, false alarm yellow and dotted",
-        "The same scenes with the optimised texture T-U",
+        "Blocks in five ground colours on painted panels (T-PixFcMa), optimised against it",
+        "After hardening, with such blocks optimised against the hardened RetinaNet",
     )
     for number, (row, text) in enumerate(zip(rows, texts, strict=True)):
         top = number * (side + label)
-        pen.text((gap, top + 3), text, fill=INK, font=font(20))
-        for column, file in enumerate(row):
-            picture = Image.open(file)
+        pen.text((gap, top + 3), text, fill=INK, font=font(32))
+        for column, picture in enumerate(row):
             place = (gap + column * (side + gap), top + label)
-            sheet.paste(
-                picture.convert("RGB").resize((side, side), Image.Resampling.LANCZOS), place
-            )
+            sheet.paste(picture.resize((side, side), Image.Resampling.LANCZOS), place)
     return sheet
+
+
+def _detections(view: SceneView, detector: TrainableDetector) -> list[Image.Image]:
+    """Draws the detections in each image of a view, as the report does."""
+    seen = vehicles_seen(view, detector, MAIN_MATCH)
+    pictures = []
+    for number, found in enumerate(view.found[detector.name]):
+        boxes = view.images.boxes[number].numpy()
+        vehicles = [
+            (boxes[place], hit, score)
+            for (image, place), (hit, score, _) in seen.items()
+            if image == number
+        ]
+        pixels = view.images.image(number).permute(1, 2, 0).numpy()
+        answer = (found.boxes.numpy(), found.scores.numpy(), detector.threshold)
+        pictures.append(draw_scene(pixels, vehicles, *answer))
+    return pictures
 
 
 def draw_attacks(run_folder: Path) -> Image.Image:

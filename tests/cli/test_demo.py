@@ -12,7 +12,7 @@ import pytest
 
 from skyproof import console
 from skyproof.cycles.settings import Rendering
-from skyproof.detectors.card import REFERENCE_DETECTORS, REFERENCE_FOLDER
+from skyproof.detectors.card import PARENT_FILE, REFERENCE_FOLDER
 from skyproof.errors import ConfigurationError
 from skyproof.files import alone
 from skyproof.main import run
@@ -26,6 +26,10 @@ KEYS = {
     "camouflage", "renderer", "detector", "vehicles", "easr", "easr_low", "easr_high", "net_easr",
     "net_easr_low", "net_easr_high", "asr", "er", "ap_original", "ap_adversarial", "apd", "match",
 }  # fmt: skip
+
+SHORT_SUITE = replace(
+    TINY_SUITE, steps=replace(TINY_SUITE.steps, texture=2), draws=1, attacks=("T-U",)
+)
 
 
 def test_run_folder_holds_results_and_report(finished: Path) -> None:
@@ -268,36 +272,69 @@ def test_any_seed_and_two_at_once(tmp_path: Path, skyproof: Skyproof) -> None:
 def demo(suites: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A finished demo by a suite that is far too small; not to be changed."""
     folder = tmp_path_factory.mktemp("demo") / "run"
-    short = replace(
-        TINY_SUITE, steps=replace(TINY_SUITE.steps, texture=2), draws=1, attacks=("T-U",)
-    )
-    with tiny_suite(short):
+    with tiny_suite(SHORT_SUITE):
         assert run(["demo", "--out", str(folder), "--device", "cpu"]) == 0
     return folder
 
 
-def test_the_demo_attacks_both_reference_detectors_and_checks_and_trains_nothing(
+def test_the_demo_attacks_a_detector_before_and_after_hardening_and_trains_nothing(
     demo: Path,
 ) -> None:
-    rows = json.loads((demo / "results.json").read_text())["rows"]
-    assert {row["detector"] for row in rows} == {*REFERENCE_DETECTORS, "mean"}
-    assert {row["camouflage"] for row in rows} == {"T-U", "R-U", *CHOSEN[:4]}
-    clean = [row["ap_original"] for row in rows if row["match"] == "centre_1m"]
-    assert min(clean) > 0.5
-    for name in REFERENCE_DETECTORS:
-        assert bytes_of(demo / "detectors" / name) == bytes_of(REFERENCE_FOLDER / name)
-    assert {path.name for path in (demo / "datasets").iterdir()} == {"test", "empty"}
-    times = json.loads((demo / "timings.json").read_text())
-    assert not {"train", "check"} & {row["stage"] for row in times}
+    for out, name in ((demo, "retinanet"), (demo / "hardened", "retinanet_hardened")):
+        rows = json.loads((out / "results.json").read_text())["rows"]
+        assert {row["detector"] for row in rows} == {"retinanet"}
+        assert {row["camouflage"] for row in rows} == {"T-U", "R-U", *CHOSEN[:4]}
+        clean = [row["ap_original"] for row in rows if row["match"] == "centre_1m"]
+        assert min(clean) > 0.5
+        own, shipped = (
+            bytes_of(place) for place in (out / "detectors/retinanet", REFERENCE_FOLDER / name)
+        )
+        # The record of the parent is that of this demo.
+        assert (PARENT_FILE in own) == (out != demo)
+        assert own.pop(PARENT_FILE, None) != shipped.pop(PARENT_FILE, b"")
+        assert own == shipped
+        assert {path.name for path in (out / "datasets").iterdir()} == {"test", "empty"}
+        times = json.loads((out / "timings.json").read_text())
+        assert not {"train", "check"} & {row["stage"] for row in times}
+    # Each is attacked by itself, on the same scenes.
+    textures = [bytes_of(out / "camouflages/T-U") for out in (demo, demo / "hardened")]
+    assert textures[0] != textures[1]
+    scenes = [(out / "scenes/test.jsonl").read_bytes() for out in (demo, demo / "hardened")]
+    assert scenes[0] == scenes[1]
 
 
-def test_the_report_says_that_they_were_checked_before(demo: Path) -> None:
+def test_the_first_figure_shows_the_attack_before_and_after_hardening(demo: Path) -> None:
+    page = (demo / "hardened/report.html").read_text()
+    assert "Its parent was assessed on other scenes" not in page
+    figure = page[page.index('<figure class="show">') : page.index("</figure>")]
+    pictures = re.findall('src="([^"]+)" alt="[^"]*( without|, before|, after) ', figure)
+    assert [where for _, where in pictures] == [" without", ", before", ", after"]
+    first = (demo / "report.html").read_text()
+    figure = first[first.index('<figure class="show">') : first.index("</figure>")]
+    assert len(re.findall("<img ", figure)) == 2
+    told = json.loads((demo / "hardened/detectors/retinanet/parent.json").read_text())
+    (row,) = (
+        row
+        for row in json.loads((demo / "results.json").read_text())["rows"]
+        if (row["camouflage"], row["match"]) == ("T-U", "centre_1m")
+    )
+    assert told["rates"]["T-U"]["frozen"]["hidden"][0] == pytest.approx(row["easr"])
+
+
+def test_a_finished_demo_is_not_done_again(demo: Path, suites: None) -> None:
+    before = {path: path.stat().st_mtime_ns for path in demo.rglob("*")}
+    with tiny_suite(SHORT_SUITE):
+        assert run(["demo", "--out", str(demo), "--device", "cpu"]) == 0
+    assert {path: path.stat().st_mtime_ns for path in demo.rglob("*")} == before
+
+
+def test_the_report_says_that_it_was_checked_before(demo: Path) -> None:
     page = (demo / "report.html").read_text()
     scenes = read_precheck(REFERENCE_FOLDER / "retinanet").measured_on.scenes
     told = (
-        f"The precheck of RetinaNet and Faster R-CNN was made earlier, on {scenes} scenes of "
+        f"The precheck of RetinaNet was made earlier, on {scenes} scenes of "
         "procedural ground, not on the scenes of this run."
     )
     assert page.count(told) == 1
-    assert "are the detectors worth attacking?" in page
+    assert "is the detector worth attacking?" in page
     assert ": no precheck" not in page

@@ -8,13 +8,14 @@ from pathlib import Path
 import pytest
 import tyro
 from msgspec import to_builtins
+from msgspec.structs import replace
 
 from skyproof.detectors.card import PARENT_FILE
 from skyproof.errors import StoredFileError
 from skyproof.files import write_json
 from skyproof.main import load_command
 from skyproof.report.advice import readings
-from skyproof.report.hardened import Parent, first_pictures, known_rates, scenes_of
+from skyproof.report.hardened import as_parent, first_pictures
 from skyproof.report.report import write_report
 from skyproof.results.conditions import Bin, Panel
 from skyproof.results.results import Results
@@ -85,16 +86,17 @@ def test_a_hardened_detector_stands_beside_its_parent(of_one, tmp_path, monkeypa
     after = with_world(fabricate(tmp_path / "after", scenes=16))
     folder = after / "detectors" / DETECTORS[0]
     results = Results.open(of_one)
-    rates, ap = known_rates(results)
-    shown = {name: f"data:image/jpeg;base64,{name.encode().hex()}" for name in rates}
-    digests = ("0" * 64, scenes_of(results))
-    parent = Parent(rates, ap, ["T-U", "T-Ma"], *digests, shown)
+    parent = as_parent(results, ["T-U", "T-Ma"], "0" * 64)
+    shown = {name: f"data:image/jpeg;base64,{name.encode().hex()}" for name in parent.rates}
+    parent = replace(parent, pictures=shown)
     write_json(folder / PARENT_FILE, to_builtins(parent))
     page = write_report(after).read_text()
     # The same scene before and after, in an attack on each detector.
     (own,) = first_pictures(Results.open(after), ["T-U"]).values()
     for picture, words in ((shown["T-U"], "before"), (own, "after")):
         assert f'<img src="{picture}" alt="With T-U, {words} hardening">' in page
+        # The first figure shows them beside the scene without camouflage.
+        assert re.search(f'<img src="{re.escape(picture)}" alt="Scene .* with T-U, {words}', page)
     (table,) = re.findall(r"before and after hardening, each by.*?</table>", page, flags=re.S)
     (row,) = re.findall(r"<tr><td>T-U</td>(.*?)</tr>", table, flags=re.S)
     (hidden,) = (
@@ -108,6 +110,14 @@ def test_a_hardened_detector_stands_beside_its_parent(of_one, tmp_path, monkeypa
     assert re.findall(r"<td>(.*?)<br>", row)[:2] == [percent(hidden), percent(later["easr"])]
     assert "Hardening showed it T-U and T-Ma; all other attacks were held out." in page
     assert f"from its parent {percent(hidden)} (T-U)" in page
+    assert "After hardening, fewer vehicles are surely hidden by T-U." in page
+    # The same detector again has gained nothing.
+    write_json(folder / PARENT_FILE, to_builtins(as_parent(Results.open(after), ["T-U"], "0" * 64)))
+    assert (
+        "After hardening, no attack surely hides fewer vehicles: it did not help"
+        in write_report(after).read_text()
+    )
+    write_json(folder / PARENT_FILE, to_builtins(parent))
     # A comparison on other scenes would say nothing.
     (after / "scenes/test.jsonl").write_bytes((after / "scenes/test.jsonl").read_bytes() + b"\n")
     page = write_report(after).read_text()

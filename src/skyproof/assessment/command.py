@@ -9,12 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from msgspec import Meta
 from tyro.conf import Positional
 
-from skyproof.detectors.card import (
-    REFERENCE_DETECTORS,
-    detector_folder,
-    reference_folder,
-    require_detector_name,
-)
+from skyproof.detectors.card import detector_folder, reference_folder, require_detector_name
 from skyproof.errors import ConfigurationError, SkyproofError
 from skyproof.ranges import Fraction, GroundResolution, Risk, Seed
 
@@ -194,12 +189,12 @@ class Request:
 
 @dataclass(frozen=True)
 class Demo:
-    """Assesses the two reference detectors on drawn ground with two attacks.
+    """Assesses a reference detector on drawn ground with two attacks, before and after hardening.
 
     It takes about five minutes on two CPU cores. A stopped run resumes with the same command.
 
     Attributes:
-        out: run folder to write.
+        out: run folder to write, with that of the hardened detector in `hardened`.
         seed: seed of everything that is drawn.
         device: auto, cpu or cuda.
         cycles: render the test scenes with Blender Cycles as well, even after a finished run.
@@ -214,8 +209,7 @@ class Demo:
     blender: Path | None = None
 
     def run(self) -> None:
-        from skyproof.assessment.assess import run_assessment
-        from skyproof.assessment.suite import DEMO_SUITE
+        from skyproof.assessment.demo import run_demo
 
-        detectors = tuple(map(reference_folder, REFERENCE_DETECTORS))
-        run_assessment(Request(detectors, **vars(self)), DEMO_SUITE)
+        before, hardened = map(reference_folder, ("retinanet", "retinanet_hardened"))
+        run_demo(Request((before,), **vars(self)), hardened)

@@ -29,7 +29,7 @@ from skyproof.hardening.images import refuse_other_images, render_images, strong
 from skyproof.hardening.training import ATTACKS, harden
 from skyproof.imagery.settings import tiling_for_images
 from skyproof.layout import Layout
-from skyproof.report.hardened import Parent, first_pictures, known_rates, scenes_of
+from skyproof.report.hardened import as_parent
 from skyproof.results.results import Results
 from skyproof.scenes.backgrounds import BackgroundSet
 from skyproof.scenes.places import Places
@@ -70,9 +70,7 @@ def harden_run(request: Harden) -> None:
     device = choose_device("auto")
     (detector,) = load_ensemble([layout.detector(names[0])], device, card.gsd_m)
     # The results of the assessment are kept beside the hardened detector.
-    digests = (detector.weights_sha256, scenes_of(results))
-    rates, ap = known_rates(results)
-    parent = Parent(rates, ap, [*ATTACKS], *digests, first_pictures(results, rates))
+    parent = as_parent(results, ATTACKS, detector.weights_sha256)
     photographs = _photographs(request, layout, config, card.gsd_m)
     settings = TrainingSettings(
         request.steps,

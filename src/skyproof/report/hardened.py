@@ -54,8 +54,8 @@ class Beside:
     """A hardened detector beside its parent, in pairs of before and after; or only sentences.
 
     At each operating point, `found` are shares of the vehicles without camouflage, and `hidden` the
-    rates of each attack. `ap` is that of each set of images. `pictures` of a scene in each attack
-    are data URIs.
+    rates of each attack. `ap` is that of each set of images. `pictures` of a scene, by attack, are
+    data URIs.
     """
 
     sentences: Sequence[str]
@@ -63,7 +63,14 @@ class Beside:
     found: Sequence[tuple[float, float]] = ()
     hidden: Mapping[str, Sequence[tuple[Interval, Interval]]] | None = None
     ap: Mapping[str, tuple[Interval, Interval]] | None = None
-    pictures: Sequence[tuple[str, str, str]] = ()
+    pictures: Mapping[str, tuple[str, str]] | None = None
+
+
+def as_parent(results: Results, attacks: Sequence[str], weights_sha256: str) -> Parent:
+    """What to keep of the assessment of a detector that `attacks` harden, or have hardened."""
+    rates, ap = _known_rates(results)
+    pictures = first_pictures(results, rates)
+    return Parent(rates, ap, [*attacks], weights_sha256, _scenes_of(results), pictures)
 
 
 def parent_of(results: Results) -> Parent | None:
@@ -79,10 +86,10 @@ def beside_parent(results: Results) -> Beside | None:
     parent = parent_of(results)
     if parent is None:
         return None
-    if parent.scenes_sha256 != scenes_of(results):
+    if parent.scenes_sha256 != _scenes_of(results):
         told = "Its parent was assessed on other scenes, so their rates cannot be compared."
         return Beside([f"{told} Give the imagery, labels and seed of that assessment."])
-    old, (new, ap) = parent.rates, known_rates(results)
+    old, (new, ap) = parent.rates, _known_rates(results)
     attacks = [name for name in new if name in old]
     every = [of_one[name] for of_one in (old, new) for name in attacks]
     points = [point for point in (FROZEN, *EQUAL_ALARMS) if all(point in one for one in every)]
@@ -97,17 +104,17 @@ def beside_parent(results: Results) -> Beside | None:
     shared = [name for name in parent.ap if name in ap]
     both = {name: (_interval(parent.ap[name]), _interval(ap[name])) for name in shared}
     own = first_pictures(results, [name for name in attacks if name in parent.pictures])
-    pictures = [(name, parent.pictures[name], picture) for name, picture in own.items()]
-    sentences = [_strongest(points, found, hidden), shown]
+    pictures = {name: (parent.pictures[name], picture) for name, picture in own.items()}
+    sentences = [*_changed(points, found, hidden), shown]
     return Beside(sentences, points, found, hidden, both, pictures)
 
 
-def _strongest(
+def _changed(
     points: Sequence[str],
     found: Sequence[tuple[float, float]],
     hidden: Mapping[str, Sequence[tuple[Interval, Interval]]],
-) -> str:
-    """Says at equal false alarms, where they are known, what the strongest attacks hide."""
+) -> list[str]:
+    """Says at equal false alarms, where they are known, what attacks hide, and if surely less."""
     place = min(1, len(points) - 1)
     where = "At its own threshold"
     if place:
@@ -117,14 +124,25 @@ def _strongest(
         rates = {name: pairs[place][side].estimate for name, pairs in hidden.items()}
         strongest = max(rates, key=lambda name: rates[name])
         told.append(f"{percent(rates[strongest])} ({strongest})")
-    return (
+    fewer = [name for name, pairs in hidden.items() if _surely_less(*pairs[place])]
+    return [
         f"{where} it finds {percent(found[place][1])} of the vehicles without camouflage, its "
         f"parent {percent(found[place][0])}. Of these, the strongest attack hides "
-        f"{told[0]}, from its parent {told[1]}."
-    )
+        f"{told[0]}, from its parent {told[1]}.",
+        f"After hardening, fewer vehicles are surely hidden by {listed(fewer)}."
+        if fewer
+        else "After hardening, no attack surely hides fewer vehicles: it did not help, had too few "
+        "steps, or the test is too small to tell.",
+    ]
 
 
-def known_rates(results: Results) -> tuple[dict[str, dict[str, _Rate]], dict[str, _Limits]]:
+def _surely_less(before: Interval, after: Interval) -> bool:
+    """Whether the second of two independent rates is smaller, by their 95 % intervals."""
+    reach = math.hypot(before.estimate - before.low, after.high - after.estimate)
+    return before.estimate - after.estimate > reach
+
+
+def _known_rates(results: Results) -> tuple[dict[str, dict[str, _Rate]], dict[str, _Limits]]:
     """The rates of each attack at each operating point, and the AP of each set of images."""
     rates: dict[str, dict[str, _Rate]] = {}
     for row in results.quoted:
@@ -155,7 +173,7 @@ def first_pictures(results: Results, attacks: Iterable[str]) -> dict[str, str]:
     }
 
 
-def scenes_of(results: Results) -> str:
+def _scenes_of(results: Results) -> str:
     """Returns the digest of a run's test scenes; empty without any."""
     path = Layout(results.folder).scenes("test")
     return file_digest(path) if path.exists() else ""

@@ -160,6 +160,7 @@ def _write(
         alarms=alarms_in_words(results.points),
         beside=beside_parent(results),
         opening=opening(every, acceptance, precheck, baselines, hardened=hardened is not None),
+        strongest=str(strongest.camouflage) if strongest else "",
         example=next(iter(contents.pairs(strongest, 1)), None) if strongest else None,
         more=more,
         training=contents.training(),
