@@ -4,15 +4,13 @@ A body's paint and glass can still be chosen. Fits are stored row by row, good o
 and put together for a generator.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from skyproof.generator.maps import MAP_PX, unfolded
@@ -33,44 +31,22 @@ _ACROSS = ("width", "tumblehome")
 _BLACK, _WHITE = torch.zeros(3), torch.ones(3)
 
 
-@dataclass(frozen=True)
-class Layers:
-    """A texture whose two main colours are left open: rest + paint share * paint + ...
-
-    Attributes:
-        rest: sRGB of tyres, trim, lamps and dust.
-        paint_share: share of the body's paint in a texel.
-        glass_share: share of the panes' colour.
-    """
-
-    rest: Float[Tensor, "*N 3 S S"]
-    paint_share: Float[Tensor, "*N 1 S S"]
-    glass_share: Float[Tensor, "*N 1 S S"]
-
-    @classmethod
-    def stacked(cls, layers: Sequence[Layers]) -> Layers:
-        """Stacks the layers of several textures."""
-        return cls(*(torch.stack(values) for values in zip(*map(_tensors, layers), strict=True)))
-
-    def rows(self, index: Int[Tensor, " M"]) -> Layers:
-        """Returns the layers of some of several textures."""
-        return Layers(*(values[index] for values in _tensors(self)))
-
-    def coloured(
-        self, paint: Float[Tensor, "*N 3"], glass: Float[Tensor, "*N 3"]
-    ) -> Float[Tensor, "*N 3 S S"]:
-        """Returns the texture in these colours, sRGB."""
-        painted = self.rest + self.paint_share * paint[..., None, None]
-        return painted + self.glass_share * glass[..., None, None]
-
-    def at_side(self, side_px: int) -> Layers:
-        """Returns the same layers on a coarser map: means of texels."""
-        factor = self.rest.shape[-1] // side_px
-        return Layers(*(F.avg_pool2d(values, factor) for values in _tensors(self)))
+Layers = Float[Tensor, "*N 5 S S"]
+"""Textures whose two main colours are left open: sRGB of tyres, trim, lamps and dust, and the
+shares of the body's paint and of the panes' colour in a texel."""
 
 
-def _tensors(layers: Layers) -> tuple[Tensor, Tensor, Tensor]:
-    return layers.rest, layers.paint_share, layers.glass_share
+def coloured(
+    layers: Layers, paint: Float[Tensor, "*N 3"], glass: Float[Tensor, "*N 3"]
+) -> Float[Tensor, "*N 3 S S"]:
+    """Returns layers in these colours, sRGB."""
+    rest, paint_share, glass_share = layers.split((3, 1, 1), dim=-3)
+    return rest + paint_share * paint[..., None, None] + glass_share * glass[..., None, None]
+
+
+def coarser(layers: Layers, side_px: int) -> Layers:
+    """Returns the same layers on a coarser map: means of texels."""
+    return F.avg_pool2d(layers, layers.shape[-1] // side_px)
 
 
 @dataclass(frozen=True)
@@ -106,11 +82,8 @@ def _prototype(body_type: str, dimensions: BodyDimensions, seed: int) -> Prototy
         textures.append(texture.float() / 255)
     # A texel is a mean of its colours, so the differences are the shares of paint and glass.
     rest, painted, glazed = textures
-    layers = Layers(
-        rest,
-        (painted - rest).mean(0, keepdim=True).clamp(min=0.0),
-        (glazed - rest).mean(0, keepdim=True).clamp(min=0.0),
-    )
+    shares = [(each - rest).mean(0, keepdim=True).clamp(min=0.0) for each in (painted, glazed)]
+    layers = torch.cat((rest, *shares))
     return Prototype(body_type, dimensions, body.vertices, layers, parts)
 
 
@@ -214,9 +187,8 @@ def fitted_vehicles(fits: Sequence[Fit], prototypes: Sequence[Prototype]) -> Fit
     vertices: list[Tensor] = []
     dimensions = []
     for fit, prototype in zip(fits, chosen, strict=True):
-        layers = prototype.layers.at_side(MAP_PX)
-        coloured = layers.coloured(fit.paint, fit.glass)[..., :half]
-        albedo.append((coloured + fit.detail).clamp(0.0, 1.0))
+        texture = coloured(coarser(prototype.layers, MAP_PX), fit.paint, fit.glass)[..., :half]
+        albedo.append((texture + fit.detail).clamp(0.0, 1.0))
         labels = F.one_hot(prototype.parts.long(), 7).permute(2, 0, 1).float()
         parts.append(F.avg_pool2d(labels, labels.shape[-1] // MAP_PX)[..., :half])
         vertices.append(prototype.vertices * torch.tensor([*fit.stretch, 1.0]))
@@ -232,7 +204,7 @@ def fitted_vehicles(fits: Sequence[Fit], prototypes: Sequence[Prototype]) -> Fit
 def fitted_texture(fit: Fit, prototype: Prototype) -> Float[Tensor, "3 512 512"]:
     """Returns the texture of a fit on its body, sRGB in [0, 1]."""
     detail = unfolded(fit.detail[None], TEXTURE_SIZE)[0]
-    return (prototype.layers.coloured(fit.paint, fit.glass) + detail).clamp(0.0, 1.0)
+    return (coloured(prototype.layers, fit.paint, fit.glass) + detail).clamp(0.0, 1.0)
 
 
 def _stretched(dimensions: BodyDimensions, along: float, across: float) -> BodyDimensions:

@@ -9,7 +9,7 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from skyproof.generator.fits import Fit, Layers, Prototype
+from skyproof.generator.fits import Fit, Layers, Prototype, coarser, coloured
 from skyproof.generator.maps import MAP_PX, unfolded
 from skyproof.generator.photographed import Photographed, shown_pixels
 from skyproof.generator.settings import FitSettings
@@ -73,7 +73,7 @@ class _Candidates(nn.Module):
         vertices = bodies.vertices[self.chosen] * stretch[:, None]
         vertices = rotate_about_vertical(vertices, self.turn)
         vertices = vertices + F.pad(self.shift, (0, 1))[:, None]
-        texture = bodies.layers.rows(self.chosen).coloured(self.paint, self.glass)
+        texture = coloured(bodies.layers[self.chosen], self.paint, self.glass)
         texture = texture + unfolded(self.detail, _TEXTURE_PX)
         ids = tuple(str(number) for number in range(len(self.chosen)))
         return VehicleBatch(
@@ -130,12 +130,11 @@ class Fitter:
         self._renderer = TorchRenderer(
             cleared, RenderSettings(supersampling=_SUPERSAMPLING, noise=0.0)
         )
-        coarse = [prototype.layers.at_side(_TEXTURE_PX) for prototype in prototypes]
         vertices = torch.stack([prototype.vertices for prototype in prototypes])
         self._bodies = _Bodies(
             make_template(),
             vertices,
-            Layers.stacked(coarse),
+            torch.stack([coarser(prototype.layers, _TEXTURE_PX) for prototype in prototypes]),
             torch.stack([prototype.parts for prototype in prototypes]),
             (vertices.amax(1) - vertices.amin(1))[:, :2],
         )

@@ -5,13 +5,12 @@ import torch.nn.functional as F
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from skyproof.vehicles.template import COLUMNS, RINGS
+from skyproof.vehicles.template import COLUMNS
+from skyproof.vehicles.texels import vertex_grid
 from skyproof.vehicles.vehicle import TEXTURE_SIZE
 
 MAP_PX = 64
 """Texels along a side of the learnt maps: 8 cm each, as fine as such photographs show."""
-
-_HALF = COLUMNS // 2
 
 
 def whole(half: Float[Tensor, "*S W"]) -> Float[Tensor, "*S W2"]:
@@ -26,12 +25,7 @@ def unfolded(half: Float[Tensor, "N C S W"], side_px: int) -> Float[Tensor, "N C
 
 def half_grid(vertices: Float[Tensor, "N V 3"]) -> Float[Tensor, "N 3 33 17"]:
     """Returns the left half of vehicles as a grid: nose pole, rings, tail pole by columns."""
-    rings = vertices[:, : RINGS * COLUMNS].view(-1, RINGS, COLUMNS, 3)[:, :, : _HALF + 1]
-    nose, tail = (
-        vertices[:, index, None, None].expand(-1, 1, _HALF + 1, 3)
-        for index in (RINGS * COLUMNS, RINGS * COLUMNS + 1)
-    )
-    return torch.cat((nose, rings, tail), dim=1).permute(0, 3, 1, 2)
+    return vertex_grid(vertices)[:, :, : COLUMNS // 2 + 1].permute(0, 3, 1, 2)
 
 
 def vertices_of(half: Float[Tensor, "3 33 17"]) -> Float[Tensor, "V 3"]:

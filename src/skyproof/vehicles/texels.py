@@ -27,7 +27,7 @@ def texel_metric(
     to the pole. Results are in metres and square metres, on the CPU.
     """
     vertices = vehicles.vertices.detach().double().cpu()
-    grid = _grid(vertices)
+    grid = vertex_grid(vertices)
     to_texels = _column_shares()
 
     # Edges of the rings, interpolated from one ring to the next at each row's middle.
@@ -91,7 +91,7 @@ def _place_in_cells() -> tuple[Int[Tensor, " 512"], Float[Tensor, " 512"]]:
     return column, (centre - u[column]) / (u[column + 1] - u[column])
 
 
-def _grid(vertices: Float[Tensor, "N V 3"]) -> Float[Tensor, "N 33 33 3"]:
+def vertex_grid(vertices: Float[Tensor, "N V 3"]) -> Float[Tensor, "N 33 33 3"]:
     """Returns nose pole, rings and tail pole, the first column repeated after the last."""
     rings = vertices[:, : RINGS * COLUMNS].unflatten(1, (RINGS, COLUMNS))
     nose, tail = (vertices[:, pole, None, None].expand(-1, 1, COLUMNS, 3) for pole in (-2, -1))
