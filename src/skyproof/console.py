@@ -93,7 +93,7 @@ def progress_bar(name: str) -> Iterator[Callable[[int, int], None]]:
 
 
 @contextmanager
-def stage_bars(what: str) -> Iterator[Callable[[str, int, int], None]]:
+def stage_bars(what: str = "") -> Iterator[Callable[[str, int, int], None]]:
     """Yields `update(stage, done, total)`; every stage has a progress bar of its own."""
     with ExitStack() as bars:
         updates: dict[str, Callable[[int, int], None]] = {}
@@ -101,7 +101,7 @@ def stage_bars(what: str) -> Iterator[Callable[[str, int, int], None]]:
         def update(stage: str, done: int, total: int) -> None:
             if stage not in updates:
                 bars.close()
-                updates[stage] = bars.enter_context(progress_bar(f"{stage} {what}"))
+                updates[stage] = bars.enter_context(progress_bar(f"{stage} {what}".rstrip()))
             updates[stage](done, total)
 
         yield update

@@ -37,20 +37,22 @@ def look(sky, elevation, azimuth):
 @pytest.mark.parametrize("elevation_deg", [10, 35, 80])
 def test_sun_and_sky_add_up_to_pi_on_level_ground(elevation_deg, overcast):
     sun = Sun(math.radians(130), math.radians(elevation_deg))
-    light = daylight(sun, *sky_light(Light(), overcast))
+    irradiance, sky = daylight(sun, *sky_light(Light(), overcast))
     elevation, azimuth, solid_angle = directions()
     received = np.maximum(np.sin(elevation), 0) * solid_angle
-    sky = (look(light.sky, elevation, azimuth) * received[..., None]).sum((0, 1))
-    direct = np.array(light.sun_irradiance) * math.sin(sun.elevation_rad)
-    assert (sky + direct).tolist() == pytest.approx([math.pi] * 3, rel=5e-3)
+    diffuse = (look(sky, elevation, azimuth) * received[..., None]).sum((0, 1))
+    direct = np.array(irradiance) * math.sin(sun.elevation_rad)
+    assert (diffuse + direct).tolist() == pytest.approx([math.pi] * 3, rel=5e-3)
     # The sky's share of the light, by luminance.
     luminance = np.array([0.2126, 0.7152, 0.0722])
-    assert sky @ luminance / math.pi == pytest.approx(overcast + (1 - overcast) * 0.25, rel=0.02)
+    assert diffuse @ luminance / math.pi == pytest.approx(
+        overcast + (1 - overcast) * 0.25, rel=0.02
+    )
 
 
 @pytest.mark.parametrize("overcast", [0.0, 1.0])
 def test_nothing_shines_below_the_horizon(overcast):
-    sky = daylight(Sun(0.3, 0.7), *sky_light(Light(), overcast)).sky
+    _, sky = daylight(Sun(0.3, 0.7), *sky_light(Light(), overcast))
     elevation, azimuth, _ = directions()
     seen = look(sky, elevation, azimuth)
     assert not seen[elevation < 0].any()
@@ -59,29 +61,28 @@ def test_nothing_shines_below_the_horizon(overcast):
 
 @pytest.mark.parametrize("azimuth_deg", [0, 77, 180, 290])
 def test_a_clear_sky_is_brightest_near_the_sun_and_bluer_than_sunlight(azimuth_deg):
-    light = daylight(Sun(math.radians(azimuth_deg), math.radians(40)), *sky_light(Light(), 0.0))
+    sun = Sun(math.radians(azimuth_deg), math.radians(40))
+    irradiance, sky = daylight(sun, *sky_light(Light(), 0.0))
     elevation, azimuth, _ = directions()
-    brightness = look(light.sky, elevation, azimuth).sum(-1)
+    brightness = look(sky, elevation, azimuth).sum(-1)
     # The map's cells are 5.6 degrees wide; nearer to the horizon the sky itself is brighter.
     brightest = brightness == brightness.max()
     assert math.degrees(elevation[brightest].mean()) == pytest.approx(40, abs=6)
     turn = (np.degrees(azimuth[brightest]) - azimuth_deg + 180) % 360 - 180
     assert abs(turn.mean()) < 3
-    sky = look(light.sky, elevation, azimuth).sum((0, 1))
-    assert sky[2] / sky[0] > 1.2 * light.sun_irradiance[2] / light.sun_irradiance[0]
+    colour = look(sky, elevation, azimuth).sum((0, 1))
+    assert colour[2] / colour[0] > 1.2 * irradiance[2] / irradiance[0]
 
 
 def test_an_overcast_sky_hides_the_sun_and_is_grey_and_brightest_overhead():
-    light = daylight(Sun(1.0, 0.5), *sky_light(Light(), 1.0))
-    assert light.sun_irradiance == (0.0, 0.0, 0.0)
-    np.testing.assert_allclose(light.sky[..., 0], light.sky[..., 2], rtol=1e-6)
+    irradiance, sky = daylight(Sun(1.0, 0.5), *sky_light(Light(), 1.0))
+    assert irradiance == [0.0, 0.0, 0.0]
+    np.testing.assert_allclose(sky[..., 0], sky[..., 2], rtol=1e-6)
     # CIE 15469, type 1: (1 + 4 exp(-0.7 / cos Z)) is about 3 times as bright overhead as at the
     # horizon.
-    zenith, horizon = light.sky[0, 0, 0], light.sky[15, :, 0].mean()
+    zenith, horizon = sky[0, 0, 0], sky[15, :, 0].mean()
     assert zenith / horizon == pytest.approx(1 + 4 * math.exp(-0.7), rel=0.02)
-    np.testing.assert_allclose(
-        light.sky, np.broadcast_to(light.sky[:, :1], light.sky.shape), rtol=1e-5
-    )
+    np.testing.assert_allclose(sky, np.broadcast_to(sky[:, :1], sky.shape), rtol=1e-5)
 
 
 def test_paint_is_what_a_camouflage_covers_and_parts_are_what_they_are_elsewhere():

@@ -30,29 +30,21 @@ _SUN_DIAMETER_RAD = math.radians(0.53)
 _SKY_ROWS, _SKY_COLUMNS = 32, 64
 
 
-@dataclass(frozen=True)
-class Daylight:
-    """Linear light on a scene; a white matt surface on open ground has the value 1.
+def daylight(
+    sun: Sun, sky_light: tuple[float, float, float], clouds: float
+) -> tuple[list[float], Float[np.ndarray, "32 64 3"]]:
+    """Returns linear light on a scene: a white matt surface on open ground has the value 1.
 
     The sun's irradiance is that across its rays. The sky's radiance is by elevation (90 degrees in
     the first row) and azimuth (the middle column looks along +x, columns go clockwise from above),
-    for Blender's environment texture; it is zero below the horizon.
-    """
-
-    sun_irradiance: tuple[float, float, float]
-    sky: Float[np.ndarray, "32 64 3"]
-
-
-def daylight(sun: Sun, sky_light: tuple[float, float, float], clouds: float) -> Daylight:
-    """Returns sun and sky, whose irradiances on level ground add up to pi in every channel.
-
-    `sky_light` is the sky's share of the light on open ground, `clouds` the share of clouds in it.
+    for Blender's environment texture; it is zero below the horizon. `sky_light` is the sky's share
+    of the light on open ground, `clouds` the share of clouds in it. The irradiances of both on
+    level ground add up to pi in every channel.
     """
     dome = (1 - clouds) * _dome(CLEAR, sun) + clouds * _dome(OVERCAST, sun)
     share = np.array(sky_light)
     direct = np.pi * np.maximum(1 - share, 0.0) / math.sin(sun.elevation_rad)
-    red, green, blue = direct.tolist()
-    return Daylight((red, green, blue), (share * dome[..., None]).astype(np.float32))
+    return direct.tolist(), (share * dome[..., None]).astype(np.float32)
 
 
 def _dome(kind: SkyType, sun: Sun) -> Float[np.ndarray, "32 64"]:
@@ -137,7 +129,7 @@ def crop_jobs(
     scene_of = placed.scene.cpu()
     jobs = []
     for index, scene in enumerate(scenes):
-        light = daylight(scene.sun, *sky_light(lights[index], scene.weather.overcast))
+        irradiance, sky = daylight(scene.sun, *sky_light(lights[index], scene.weather.overcast))
         own = scene_of == index
         for number, row in enumerate(own.nonzero()[:, 0].tolist()):
             if not bool((high[row] > low[row]).all()):
@@ -152,7 +144,7 @@ def crop_jobs(
                 "viewer": list(scene.camera.direction),
                 "sun": list(scene.sun.direction),
                 "sun_irradiance": [
-                    (1 - scene.placements[number].shade) * each for each in light.sun_irradiance
+                    (1 - scene.placements[number].shade) * each for each in irradiance
                 ],
                 "sun_diameter_rad": _SUN_DIAMETER_RAD,
                 "ground_origin_px": origin,
@@ -162,7 +154,7 @@ def crop_jobs(
             }
             rows = shared.nonzero()[:, 0].tolist()
             arrays = {
-                "sky": light.sky,
+                "sky": sky,
                 "ground": patch,
                 "materials": materials,
                 **template,

@@ -1,6 +1,5 @@
 """`python -m skyproof.generator learn`: a generator learnt from photographs, and its fleets."""
 
-from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -10,7 +9,7 @@ import tyro
 from tyro.conf import Suppress
 
 from skyproof.cli.vehicles import FleetCounts, draw_fleets
-from skyproof.console import progress_bar, say
+from skyproof.console import say, stage_bars
 from skyproof.generator.settings import LearnSettings
 from skyproof.ranges import Fraction, Seed, WholeNumber
 from skyproof.vehicles.settings import CATALOGUE_PAINTS, PaintVariety
@@ -71,22 +70,18 @@ class LearnVehicles:
         from skyproof.scenes.backgrounds import BackgroundSet
 
         names = {"fit": "fit vehicles", "learn": "learn from them"}
-        with ExitStack() as bars:
-            updates: dict[str, Any] = {}
-
-            def progress(stage: str, done: int, total: int) -> None:
-                if stage not in updates:
-                    bars.close()
-                    updates[stage] = bars.enter_context(progress_bar(names[stage]))
-                updates[stage](done, total)
-
-            imagery = [
-                Imagery(BackgroundSet.open(tiles), BackgroundSet.open(cleared))
-                for tiles, cleared in self.imagery
-            ]
-            place = choose_device(self.device)
+        imagery = [
+            Imagery(BackgroundSet.open(tiles), BackgroundSet.open(cleared))
+            for tiles, cleared in self.imagery
+        ]
+        place = choose_device(self.device)
+        with stage_bars() as update:
             record = learn_vehicles(
-                imagery, self.settings, self.out, device=place, progress=progress
+                imagery,
+                self.settings,
+                self.out,
+                device=place,
+                progress=lambda stage, done, total: update(names[stage], done, total),
             )
         self._say_record(record)
 

@@ -38,7 +38,7 @@ def sample_learnt_fleet(
     settings: FleetSettings,
     *,
     generator: torch.Generator,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], None] = lambda *_: None,
 ) -> Fleet:
     """Draws a fleet that every camouflage, mask, renderer and table takes like any other.
 
@@ -48,8 +48,7 @@ def sample_learnt_fleet(
     samples = []
     for number in range(settings.count):
         samples.append(vehicles.sample(generator))
-        if progress is not None:
-            progress(number + 1, settings.count)
+        progress(number + 1, settings.count)
     fleet = fleet_of(samples, vehicles.method, settings.first_number)
     for index in exact_share(settings.paints.patterned, settings.count, generator):
         fleet.sources[fleet.ids[index]]["coat"] = "patterned"

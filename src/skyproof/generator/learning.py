@@ -62,7 +62,7 @@ def learn_vehicles(
     folder: Path,
     *,
     device: torch.device | str = "cpu",
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Callable[[str, int, int], None] = lambda *_: None,
 ) -> dict[str, Any]:
     """Learns a generator of vehicles from photographs, and returns the record of `generator.json`.
 
@@ -115,18 +115,17 @@ def learn_vehicles(
             left_out[f"its fit is off by more than {LARGEST_MISFIT:g}"] = len(fits) - len(kept)
         _refuse_few(len(kept), left_out, imagery)
         learnt_from = fitted_vehicles(kept, prototypes)
-
-        def report(row: dict[str, Any]) -> None:
-            if progress is not None:
-                progress("learn", row["step"], settings.gan.steps)
-
         generator: LayeredGenerator | AdversarialGenerator
         if settings.method == "layered":
             generator = LayeredGenerator.learn(learnt_from)
         else:
-            place = folder / "gan"
             generator = learn_adversarially(
-                learnt_from, settings.gan, place, settings.seed, device, report
+                learnt_from,
+                settings.gan,
+                folder / "gan",
+                settings.seed,
+                device,
+                lambda row: progress("learn", row["step"], settings.gan.steps),
             )
         record = _record(settings, imagery, vehicles, kept, left_out, prototypes) | short
         write_fit_sheets(folder / "fits", fitters, vehicles, fits, prototypes)
@@ -155,7 +154,7 @@ def _fit_all(
     vehicles: list[Photographed],
     identity: dict[str, Any],
     folder: Path,
-    progress: Callable[[str, int, int], None] | None,
+    progress: Callable[[str, int, int], None],
 ) -> list[Fit]:
     fits = Fits([vehicle.scene.id for vehicle in vehicles])
     # The method is left out, because fits serve every method.
@@ -175,8 +174,7 @@ def _fit_all(
         fits.done.append(fit)
         told = ("misfit", "prototype", "reversed", "runner_up")
         loop.report({"step": step, "vehicle": fit.id} | {name: getattr(fit, name) for name in told})
-        if progress is not None:
-            progress("fit", step, len(vehicles))
+        progress("fit", step, len(vehicles))
     return fits.done
 
 

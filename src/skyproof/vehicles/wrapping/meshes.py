@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from jaxtyping import Float, Int, UInt8
+from scipy.ndimage import map_coordinates
 
 from skyproof.geometry.colour import linear_to_srgb, srgb_to_linear
 
@@ -83,14 +84,10 @@ def _sample(
 ) -> Float[np.ndarray, "N C"]:
     """Samples bilinearly between texel centres; the picture repeats."""
     height, width = picture.shape[:2]
-    x, y = uv[:, 0] * width - 0.5, (1 - uv[:, 1]) * height - 0.5
-    left = np.floor(x).astype(np.int64)
-    top = np.floor(y).astype(np.int64)
-    right, down = (x - left)[:, None], (y - top)[:, None]
-    rows, columns = (top % height, (top + 1) % height), (left % width, (left + 1) % width)
-    upper = picture[rows[0], columns[0]] * (1 - right) + picture[rows[0], columns[1]] * right
-    lower = picture[rows[1], columns[0]] * (1 - right) + picture[rows[1], columns[1]] * right
-    return upper * (1 - down) + lower * down
+    places = (1 - uv[:, 1]) * height - 0.5, uv[:, 0] * width - 0.5
+    channels = np.moveaxis(picture, 2, 0)
+    read = [map_coordinates(each, places, float, order=1, mode="grid-wrap") for each in channels]
+    return np.stack(read, axis=-1)
 
 
 def _tinted(
