@@ -160,24 +160,12 @@ def draw_fleets(
 
 
 def _fleet_of(wrapped: dict[str, WrappedVehicle]) -> Fleet:
-    import torch
-
     from skyproof.vehicles.fleet import Fleet
-    from skyproof.vehicles.template import make_template
 
-    vehicles = wrapped.values()
-    return Fleet(
-        None,
-        make_template(),
-        tuple(wrapped),
-        torch.stack([vehicle.vertices for vehicle in vehicles]),
-        torch.stack([vehicle.texture for vehicle in vehicles]),
-        torch.stack([vehicle.parts for vehicle in vehicles]),
-        {
-            vehicle_id: {key: vehicle.report[key] for key in ("mesh", "licence")}
-            for vehicle_id, vehicle in wrapped.items()
-        },
-    )
+    vehicles = {name: (each.vertices, each.texture, each.parts) for name, each in wrapped.items()}
+    told = ("mesh", "licence")
+    sources = {name: {key: each.report[key] for key in told} for name, each in wrapped.items()}
+    return Fleet.of(vehicles, sources)
 
 
 def _write_turntables(path: Path, wrapped: dict[str, WrappedVehicle], fleet: Fleet) -> None:

@@ -1,6 +1,6 @@
 """Fleets whose vehicles a generator draws."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -9,7 +9,6 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from skyproof.vehicles.fleet import Fleet, FleetSettings, exact_share
-from skyproof.vehicles.template import make_template
 
 
 @dataclass(frozen=True)
@@ -45,30 +44,15 @@ def sample_learnt_fleet(
     Body types and paints are the generator's own; the settings add random patterns and shapes. The
     same state of the CPU generator gives the same fleet, byte for byte.
     """
-    samples = []
+    drawn = {}
     for number in range(settings.count):
-        samples.append(vehicles.sample(generator))
+        one = vehicles.sample(generator)
+        name = f"{one.body_type}-{settings.first_number + number:04d}"
+        drawn[name] = (one.vertices, one.texture, one.parts)
         progress(number + 1, settings.count)
-    fleet = fleet_of(samples, vehicles.method, settings.first_number)
+    fleet = Fleet.of(drawn, {name: {"generator": vehicles.method} for name in drawn})
     for index in exact_share(settings.paints.patterned, settings.count, generator):
         fleet.sources[fleet.ids[index]]["coat"] = "patterned"
     for index in exact_share(settings.shapes, settings.count, generator):
         fleet.sources[fleet.ids[index]]["shape"] = "random"
     return fleet
-
-
-def fleet_of(samples: Sequence[LearntVehicle], method: str, first_number: int = 0) -> Fleet:
-    """Makes a fleet of the samples of one generator."""
-    ids = tuple(
-        f"{sample.body_type}-{number:04d}" for number, sample in enumerate(samples, first_number)
-    )
-    sources = {name: {"generator": method} for name in ids}
-    return Fleet(
-        None,
-        make_template(),
-        ids,
-        torch.stack([sample.vertices for sample in samples]),
-        torch.stack([sample.texture for sample in samples]),
-        torch.stack([sample.parts for sample in samples]),
-        sources,
-    )

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from jaxtyping import Float, UInt8
-from PIL import Image, ImageDraw
+from PIL import Image
 from torch import Tensor
 
 from skyproof.files import write_beside
@@ -16,11 +16,10 @@ from skyproof.generator.fleet import VehicleGenerator, sample_learnt_fleet
 from skyproof.generator.maps import whole
 from skyproof.generator.photographed import Photographed, shown_pixels
 from skyproof.randomness import generator_of
-from skyproof.render.portrait import PART_COLOURS, close_up
+from skyproof.render.portrait import PART_COLOURS, captioned, close_up
 from skyproof.vehicles.fleet import Fleet, FleetSettings
 
 _SIDE_PX = 192
-_CAPTION_PX = 16
 _ROWS = 24
 _SAMPLES, _ABREAST = 24, 3
 _CLOSE_M, _COARSE_M = 0.016, 0.125
@@ -74,7 +73,7 @@ def _sample_rows(fleet: Fleet) -> list[Picture]:
     cells = []
     for name, parts, close, coarse in zip(fleet.ids, fleet.parts, *views, strict=True):
         pictures = [_cell(close), _cell(coarse), _parts(parts)]
-        cells.append(_captioned(np.concatenate(pictures, axis=1), name))
+        cells.append(captioned(np.concatenate(pictures, axis=1), name))
     while len(cells) % _ABREAST:
         cells.append(np.full_like(cells[0], 255))
     return [
@@ -100,7 +99,7 @@ def _fit_row(
     ]
     state = "" if fit.misfit <= LARGEST_MISFIT else "DROPPED: "
     caption = f"{state}{fit.id}, {prototype.body_type}, off by {fit.misfit:.3f}"
-    return _captioned(np.concatenate(pictures, axis=1), caption)
+    return captioned(np.concatenate(pictures, axis=1), caption)
 
 
 def _cell(picture: UInt8[Tensor, "3 H W"] | Float[Tensor, "3 H W"]) -> Picture:
@@ -119,10 +118,3 @@ def _parts(parts: UInt8[Tensor, "512 512"]) -> Picture:
 
 def _resized(pixels: Picture, method: Image.Resampling) -> Picture:
     return np.asarray(Image.fromarray(pixels).resize((_SIDE_PX, _SIDE_PX), method))
-
-
-def _captioned(row: Picture, caption: str) -> Picture:
-    picture = Image.new("RGB", (row.shape[1], row.shape[0] + _CAPTION_PX), "white")
-    picture.paste(Image.fromarray(row), (0, _CAPTION_PX))
-    ImageDraw.Draw(picture).text((4, 2), caption, fill="black")
-    return np.asarray(picture)

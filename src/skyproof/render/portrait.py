@@ -133,11 +133,15 @@ def turntable_row(
             for image in (texture, labels)
         ),
     ]
-    row = Image.fromarray(_bytes(np.concatenate(cells, axis=1)))
-    sheet = Image.new("RGB", (row.width, row.height + _CAPTION_PX), "white")
-    sheet.paste(row, (0, _CAPTION_PX))
-    ImageDraw.Draw(sheet).text((4, 2), caption, fill="black")
-    return np.array(sheet)
+    return captioned(_bytes(np.concatenate(cells, axis=1)), caption)
+
+
+def captioned(row: UInt8[np.ndarray, "_ _ 3"], caption: str) -> UInt8[np.ndarray, "_ _ 3"]:
+    """Writes a caption above a picture."""
+    picture = Image.new("RGB", (row.shape[1], row.shape[0] + _CAPTION_PX), "white")
+    picture.paste(Image.fromarray(row), (0, _CAPTION_PX))
+    ImageDraw.Draw(picture).text((4, 2), caption, fill="black")
+    return np.array(picture)
 
 
 def _views(

@@ -1,7 +1,7 @@
 """A fleet holds many vehicles on one template, drawn or wrapped, and returns them in batches."""
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -104,6 +104,17 @@ class Fleet:
     textures: UInt8[Tensor, "N 3 512 512"]
     parts: UInt8[Tensor, "N 512 512"]
     sources: dict[str, dict[str, str]] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls,
+        vehicles: Mapping[str, tuple[Tensor, Tensor, Tensor]],
+        sources: dict[str, dict[str, str]],
+        settings: FleetSettings | None = None,
+    ) -> "Fleet":
+        """Makes a fleet of the vertices, texture and parts of each vehicle, by id."""
+        vertices, textures, parts = map(torch.stack, zip(*vehicles.values(), strict=True))
+        return cls(settings, make_template(), tuple(vehicles), vertices, textures, parts, sources)
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -213,12 +224,12 @@ def sample_fleet(
     weights = torch.tensor([settings.weights[name] for name in types], dtype=torch.float64)
     chosen = torch.multinomial(weights, settings.count, True, generator=generator).tolist()
     ids = [f"{types[choice]}-{n:04d}" for n, choice in enumerate(chosen, settings.first_number)]
-    drawn = []
+    drawn: dict[str, tuple[Tensor, Tensor, Tensor]] = {}
     paints = [None] * settings.count if worn is None else _paints_of(worn, settings, generator)
-    for choice, coat, paint in zip(chosen, coats, paints, strict=True):
+    for name, choice, coat, paint in zip(ids, chosen, coats, paints, strict=True):
         body = build_body(sample_dimensions(types[choice], generator=generator))
         maps = paint_vehicle(body, types[choice], coat, paint=paint, generator=generator)
-        drawn.append((body.vertices, *maps))
+        drawn[name] = (body.vertices, *maps)
         progress(len(drawn), settings.count)
     sources: dict[str, dict[str, str]] = {
         name: {"coat": coat} for name, coat in zip(ids, coats, strict=True) if coat != _USUAL
@@ -229,8 +240,7 @@ def sample_fleet(
             sources[name] = {"paint": "of a labelled vehicle"}
     for index in exact_share(settings.shapes, settings.count, generator):
         sources.setdefault(ids[index], {})["shape"] = "random"
-    vertices, textures, parts = (torch.stack(each) for each in zip(*drawn, strict=True))
-    return Fleet(settings, make_template(), tuple(ids), vertices, textures, parts, sources)
+    return Fleet.of(drawn, sources, settings)
 
 
 def _paints_of(
