@@ -1,4 +1,4 @@
-"""The one way to open a picture: known formats, a size limit, errors of one sentence."""
+"""The one way to open a picture (known formats, a size limit, errors of one sentence); PNGs."""
 
 import warnings
 from pathlib import Path
@@ -8,7 +8,7 @@ from jaxtyping import UInt8
 from PIL import ExifTags, Image
 
 from skyproof.errors import SkyproofError, StoredFileError
-from skyproof.files import refuse_special
+from skyproof.files import refuse_special, write_beside
 
 LARGEST_PX = 178_956_970
 """The most pixels of a picture that is decoded as a whole, some 13,377 x 13,377: Pillow's limit.
@@ -77,6 +77,12 @@ def _refuse_giant(
             f"{place} has {width:,} x {height:,} px, more than {LARGEST_PX:,} pixels in all, which "
             f"is too large to be read at once; cut it into parts, or {remedy}."
         )
+
+
+def write_png(path: Path, pixels: "UInt8[np.ndarray, 'H W ...']", compress_level: int = -1) -> None:
+    """Writes bytes, grey or sRGB, as a PNG, whole or not at all; -1 is the usual compression."""
+    with write_beside(path) as temporary:
+        Image.fromarray(pixels).save(temporary, "PNG", compress_level=compress_level)
 
 
 def read_pixels(

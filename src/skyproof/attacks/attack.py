@@ -10,7 +10,6 @@ from typing import Any
 
 import torch
 from jaxtyping import Float
-from PIL import Image
 from torch import Tensor
 from torch.optim.lr_scheduler import LambdaLR
 
@@ -36,8 +35,9 @@ from skyproof.camouflage.folder import (
 from skyproof.detectors.detector import TrainableDetector
 from skyproof.detectors.inference import device_of
 from skyproof.errors import ConfigurationError, NotFiniteError
-from skyproof.files import alone, write_beside
+from skyproof.files import alone
 from skyproof.loop import Loop, LoopPart, refuse_other
+from skyproof.pictures import write_png
 from skyproof.render.frames import Frames
 from skyproof.scenes.scene import Scene
 from skyproof.storage import tensors_digest, weights_digest
@@ -354,5 +354,4 @@ def _write_preview(path: Path, images: Float[Tensor, "B 3 H W"]) -> None:
     """Writes the first images of a batch side by side."""
     levels = (images[:8] * 255).round().byte().cpu()
     row = torch.cat(list(levels), dim=2).permute(1, 2, 0).numpy()
-    with write_beside(path) as temporary:
-        Image.fromarray(row).save(temporary)
+    write_png(path, row)

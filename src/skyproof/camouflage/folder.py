@@ -6,7 +6,6 @@ from typing import Any, cast
 
 import msgspec
 import torch
-from PIL import Image
 from torch import Tensor
 
 from skyproof.camouflage.camouflage import Camouflage
@@ -17,7 +16,8 @@ from skyproof.camouflage.settings import Blocks, Colours
 from skyproof.camouflage.texture import UniversalTexture
 from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError, StoredFileError
-from skyproof.files import write_beside, write_json
+from skyproof.files import write_json
+from skyproof.pictures import write_png
 from skyproof.ranges import Count, Name
 from skyproof.storage import read_tensors, write_tensors
 
@@ -36,9 +36,10 @@ def save_camouflage(
     write_tensors(folder / "camouflage.safetensors", camouflage.state_dict())
     for part in camouflage.modules():
         if isinstance(part, UniversalTexture):
-            _write_png(folder / "texture.png", part.bytes().permute(1, 2, 0))
+            write_png(folder / "texture.png", part.bytes().permute(1, 2, 0).cpu().numpy())
         elif isinstance(part, DisplacementMap):
-            _write_png(folder / "displacement.png", (part.map().detach() * 255).round().byte())
+            height = (part.map().detach() * 255).round().byte()
+            write_png(folder / "displacement.png", height.cpu().numpy())
     write_json(
         folder / "camouflage.json",
         {"format": _FORMAT, "camouflage": describe_camouflage(camouflage), "record": record or {}},
@@ -149,8 +150,3 @@ def _build(described: _Texture | _Shape | _Both) -> Camouflage:
         colours=described.colours or 2,
         blocks=described.blocks,
     )
-
-
-def _write_png(path: Path, pixels: Tensor) -> None:
-    with write_beside(path) as temporary:
-        Image.fromarray(pixels.cpu().numpy()).save(temporary)

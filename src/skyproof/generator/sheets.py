@@ -9,12 +9,12 @@ from jaxtyping import Float, UInt8
 from PIL import Image
 from torch import Tensor
 
-from skyproof.files import write_beside
 from skyproof.generator.fits import LARGEST_MISFIT, Fit, Prototype, fitted_texture
 from skyproof.generator.fitting import Fitter
 from skyproof.generator.fleet import VehicleGenerator, sample_learnt_fleet
 from skyproof.generator.maps import whole
 from skyproof.generator.photographed import Photographed, shown_pixels
+from skyproof.pictures import write_png
 from skyproof.randomness import generator_of
 from skyproof.render.portrait import PART_COLOURS, captioned, close_up
 from skyproof.vehicles.fleet import Fleet, FleetSettings
@@ -47,7 +47,7 @@ def write_fit_sheets(
             _fit_row(fitters[index], vehicles[index], fits[index], prototypes)
             for index in order[start : start + _ROWS]
         ]
-        _save(folder / f"{number:05d}.png", rows)
+        write_png(folder / f"{number:05d}.png", np.concatenate(rows), 3)
 
 
 def write_sample_sheets(folder: Path, vehicles: VehicleGenerator, seed: int) -> None:
@@ -57,13 +57,7 @@ def write_sample_sheets(folder: Path, vehicles: VehicleGenerator, seed: int) -> 
     """
     generator = generator_of(seed, "sheet")
     fleet = sample_learnt_fleet(vehicles, FleetSettings(_SAMPLES), generator=generator)
-    _save(folder / "samples.png", _sample_rows(fleet))
-
-
-def _save(path: Path, rows: Sequence[Picture]) -> None:
-    with write_beside(path) as temporary:
-        sheet = Image.fromarray(np.concatenate(rows))
-        sheet.save(temporary, compress_level=3)
+    write_png(folder / "samples.png", np.concatenate(_sample_rows(fleet)), 3)
 
 
 def _sample_rows(fleet: Fleet) -> list[Picture]:

@@ -32,6 +32,7 @@ from skyproof.measure.views import (
     refuse_twice,
     views,
 )
+from skyproof.pictures import write_png
 from skyproof.render.portrait import portrait
 from skyproof.results.likeness import Likeness
 from skyproof.results.outcomes import MATCHES, Outcome, write_outcomes
@@ -277,8 +278,7 @@ def _add_patterns(folder: Path, worn: Mapping[Path, Camouflage], fleet: Fleet) -
             continue
         own = folder / "patterns" / place.name
         picture = portrait(fleet, camouflage.cpu())
-        with write_beside(own / "on_vehicle.png") as temporary:
-            Image.fromarray(picture.permute(1, 2, 0).numpy()).save(temporary)
+        write_png(own / "on_vehicle.png", picture.permute(1, 2, 0).numpy())
         for file in ("texture.png", "steps.jsonl"):
             if (place / file).exists():
                 write_bytes(own / file, inside(place, file, place).read_bytes())

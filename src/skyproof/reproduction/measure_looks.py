@@ -12,7 +12,6 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from msgspec import to_builtins
 from msgspec.structs import replace
-from PIL import Image
 from torch import Tensor
 
 from skyproof.camouflage.folder import load_camouflage
@@ -22,8 +21,9 @@ from skyproof.camouflage.texture import UniversalTexture
 from skyproof.console import progress_bar, say
 from skyproof.datasets.dataset import Dataset
 from skyproof.errors import ConfigurationError
-from skyproof.files import finished_folder, write_beside, write_json
+from skyproof.files import finished_folder, write_json
 from skyproof.geometry.colour import linear_to_srgb, srgb_to_cielab, srgb_to_linear
+from skyproof.pictures import write_png
 from skyproof.render.dataset import placed_vehicles
 from skyproof.render.renderer import TorchRenderer
 from skyproof.render.settings import RenderSettings
@@ -95,8 +95,7 @@ def _drawn(
     found = []
     for number, (label, pixels) in enumerate(strips):
         file = f"{sheet}/{number}.png"
-        with write_beside(folder / file) as temporary:
-            Image.fromarray(pixels.permute(1, 2, 0).numpy()).save(temporary)
+        write_png(folder / file, pixels.permute(1, 2, 0).numpy())
         found.append(Strip(label, file))
     return found
 

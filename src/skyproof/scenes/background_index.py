@@ -9,12 +9,12 @@ from typing import Annotated, Literal
 import numpy as np
 from jaxtyping import UInt8
 from msgspec import Meta
-from PIL import Image
 from torch import Tensor
 
 from skyproof.documents import read_document
 from skyproof.errors import StoredFileError
-from skyproof.files import inside, write_beside, write_json
+from skyproof.files import inside, write_json
+from skyproof.pictures import write_png
 from skyproof.ranges import FileReference, GroundResolution, ImageSide, Name
 from skyproof.scenes.light import Light
 from skyproof.scenes.places import RemovedVehicle
@@ -108,9 +108,7 @@ def read_index(folder: Path) -> BackgroundIndex:
 
 def save_tile(folder: Path, tile: BackgroundTile, image: UInt8[Tensor, "3 H W"]) -> None:
     """Writes a tile's picture whole or not at all."""
-    with write_beside(Path(folder) / tile.file) as temporary:
-        picture = Image.fromarray(image.permute(1, 2, 0).contiguous().numpy())
-        picture.save(temporary, compress_level=3)
+    write_png(Path(folder) / tile.file, image.permute(1, 2, 0).contiguous().numpy(), 3)
 
 
 def save_map(
@@ -120,8 +118,7 @@ def save_map(
     if not values.any():
         return None
     file = f"{kind}/{tile_id}.png"
-    with write_beside(Path(folder) / file) as temporary:
-        Image.fromarray(values).save(temporary, format="PNG")
+    write_png(Path(folder) / file, values)
     return file
 
 

@@ -7,13 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Bool
+from jaxtyping import Bool, UInt8
 from PIL import Image, ImageDraw
 from scipy import ndimage
 from torch import Tensor
 
 from skyproof.datasets.pictures import Boxes, Pixels
-from skyproof.files import write_beside, write_bytes
+from skyproof.files import write_bytes
+from skyproof.pictures import write_png
 
 LARGEST_SIDE_PX = 640
 GAP_PX = 8
@@ -38,8 +39,7 @@ class SheetRow:
 def write_figure(folder: Path, number: int, row: SheetRow) -> str:
     """Writes the picture of a tile, and returns the tile's part of the page."""
     picture = f"{number:05d}.png"
-    with write_beside(folder / picture) as temporary:
-        _draw_row(row).save(temporary, compress_level=3)
+    write_png(folder / picture, _draw_row(row), 3)
     tile, caption = (html.escape(text, quote=True) for text in (row.tile, row.caption))
     disabled = "" if row.kept else " disabled"
     return (
@@ -54,7 +54,7 @@ def write_page(folder: Path, figures: Sequence[str]) -> None:
     write_bytes(folder / "index.html", page.encode())
 
 
-def _draw_row(row: SheetRow) -> Image.Image:
+def _draw_row(row: SheetRow) -> UInt8[np.ndarray, "H W 3"]:
     scale = min(1.0, LARGEST_SIDE_PX / max(row.mask.shape))
     inner = ndimage.binary_erosion(row.mask.numpy(), np.ones((3, 3)))
     outline = row.mask & ~torch.from_numpy(inner)
@@ -71,4 +71,4 @@ def _draw_row(row: SheetRow) -> Image.Image:
     both = Image.new("RGB", (2 * width + GAP_PX, height), "white")
     both.paste(pictures[0], (0, 0))
     both.paste(pictures[1], (width + GAP_PX, 0))
-    return both
+    return np.asarray(both)
