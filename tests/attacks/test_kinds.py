@@ -71,7 +71,7 @@ class BrightnessDetector(TrainableDetector):
             .expand(len(images), -1, -1)
         )
         scores = answers.flatten(1)
-        return Candidates(boxes, scores, torch.ones_like(scores, dtype=torch.bool))
+        return Candidates(boxes, scores)
 
 
 @pytest.fixture(scope="module")
@@ -153,11 +153,7 @@ def test_the_score_on_the_target_is_the_best_within_a_metre(world):
             boxes = torch.tensor(
                 [[[40.0, 40, 60, 60], [47, 40, 67, 60], [60, 40, 80, 60], [40, 40, 60, 60]]]
             )
-            scores, valid = (
-                torch.tensor([[0.3, 0.5, 0.9, 0.99]]),
-                torch.tensor([[True, True, True, False]]),
-            )
-            return Candidates(boxes, scores, valid)
+            return Candidates(boxes, torch.tensor([[0.3, 0.5, 0.9, 0.0]]))
 
     one = torch.zeros(1)
     box, centre = torch.tensor([[40.0, 40, 60, 60]]), torch.tensor([[50.0, 50]])

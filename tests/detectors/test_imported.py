@@ -281,7 +281,8 @@ def test_losses_by_their_formulas() -> None:
         [level.flatten(1) for level in rcnn.network.model.rpn.head(features)[0]], dim=1
     )
     found = rcnn.candidates(IMAGES)
-    regions = (-torch.log1p(-found.scores) * found.valid).sum(dim=1) / found.valid.sum(dim=1)
+    # Padding has a score of 0.
+    regions = -torch.log1p(-found.scores).sum(dim=1) / (found.scores > 0).sum(dim=1)
     torch.testing.assert_close(
         rcnn.loss(IMAGES, NOTHING),
         regions + functional.softplus(anchors).sum(dim=1) / 64,
@@ -315,7 +316,7 @@ def test_loss_of_an_image_is_its_own_finite_and_moves_the_score(imported: Import
 def test_candidates_are_differentiable_and_detections_sorted(imported: ImportedDetector) -> None:
     images = IMAGES.clone().requires_grad_()
     found = imported.candidates(images)
-    found.scores[found.valid].max().backward()
+    found.scores.max().backward()
     assert images.grad is not None
     assert torch.isfinite(images.grad).all()
     assert images.grad.abs().sum() > 0
@@ -509,7 +510,6 @@ class Blobs(TrainableDetector):
         return Candidates(
             torch.tensor(boxes, dtype=torch.float32)[:, None],
             torch.ones(len(boxes), 1),
-            torch.ones(len(boxes), 1).bool(),
         )
 
     def loss(self, images: torch.Tensor, targets: Any) -> torch.Tensor:

@@ -121,7 +121,7 @@ def test_a_larger_image_may_hold_more_vehicles_than_a_window() -> None:
         def candidates(self, images: torch.Tensor) -> Candidates:
             corners = torch.cartesian_prod(torch.arange(0, 380, 16), torch.arange(0, 380, 16))
             boxes = torch.cat([corners, corners + 12], dim=1).float()[None]
-            return Candidates(boxes, torch.full((1, len(corners)), 0.5), torch.ones(1, 576) > 0)
+            return Candidates(boxes, torch.full((1, len(corners)), 0.5))
 
     for side_px, count in ((384, 100), (768, 400)):
         (found,) = Everywhere().detect(torch.zeros(1, 3, side_px, side_px))
@@ -163,7 +163,7 @@ class Row(TrainableDetector):
 
     def candidates(self, images: torch.Tensor) -> Candidates:
         scores = torch.linspace(0.9, 0.5, 5)[None]
-        return Candidates(self.boxes, scores, torch.ones_like(scores, dtype=torch.bool))
+        return Candidates(self.boxes, scores)
 
 
 @pytest.mark.parametrize(("length_m", "width_m", "pitch_m"), [(4.6, 1.9, 2.2), (12.0, 2.55, 3.2)])

@@ -7,6 +7,8 @@ from typing import NamedTuple
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.nn import functional
+from torch.nn.utils.rnn import pad_sequence
 
 from skyproof.attacks.settings import Method
 from skyproof.detectors.detector import Candidates, Detector, TrainableDetector
@@ -115,7 +117,7 @@ def target_scores(
     near = distance_m <= CENTRE_DISTANCE_M
     if match == "centre_in_box":
         near |= contain(boxes, centres)
-    return candidates.scores.masked_fill(~(candidates.valid & near), 0.0).amax(1)
+    return candidates.scores.masked_fill(~near, 0.0).amax(1)
 
 
 def _candidates(detector: Detector, images: Float[Tensor, "B 3 H W"]) -> Candidates:
@@ -123,13 +125,9 @@ def _candidates(detector: Detector, images: Float[Tensor, "B 3 H W"]) -> Candida
         return detector.candidates(images)
     found = detector.detect(images)
     # One row of padding at least, for images in which nothing is found.
-    rows = 1 + max(len(each.scores) for each in found)
-    boxes = images.new_zeros(len(images), rows, 4)
-    scores = images.new_zeros(len(images), rows)
-    for number, each in enumerate(found):
-        boxes[number, : len(each.boxes)] = each.boxes
-        scores[number, : len(each.scores)] = each.scores
-    return Candidates(boxes, scores, scores > 0)
+    boxes = [functional.pad(each.boxes, (0, 0, 0, 1)).to(images) for each in found]
+    scores = [functional.pad(each.scores, (0, 1)).to(images) for each in found]
+    return Candidates(*(pad_sequence(each, batch_first=True) for each in (boxes, scores)))
 
 
 @contextmanager

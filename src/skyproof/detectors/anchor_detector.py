@@ -126,8 +126,7 @@ class AnchorDetector(TrainableDetector):
         """Every anchor's box, scored by objectness times the score of its best vehicle class."""
         boxes, objectness, classes = self._head.decoded(self._answers(images))
         likely = classes[..., self.vehicle_classes].amax(dim=-1)
-        scores = objectness.sigmoid() * likely.sigmoid()
-        return Candidates(boxes, scores, torch.ones_like(scores, dtype=torch.bool))
+        return Candidates(boxes, objectness.sigmoid() * likely.sigmoid())
 
     @torch.no_grad()
     def pyramid(self, images: Images) -> tuple[list[Tensor], int]:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 from torchvision import ops
@@ -41,11 +41,10 @@ class Detections:
 
 @dataclass(frozen=True)
 class Candidates:
-    """Boxes (pixel xyxy) and scores in [0, 1] before suppression; padding is not valid."""
+    """Boxes (pixel xyxy) and scores in [0, 1] before suppression; padding has a score of 0."""
 
     boxes: Float[Tensor, "B K 4"]
     scores: Float[Tensor, "B K"]
-    valid: Bool[Tensor, "B K"]
 
 
 class Detector:
@@ -127,12 +126,10 @@ class TrainableDetector(nn.Module, Detector):
         windows = max(1, height_px * width_px // WINDOW_PX**2)
         candidates = self.candidates(images)
         found = []
-        for boxes, scores, valid in zip(
-            candidates.boxes, candidates.scores, candidates.valid, strict=True
-        ):
+        for boxes, scores in zip(candidates.boxes, candidates.scores, strict=True):
             clipped = ops.clip_boxes_to_image(boxes, (height_px, width_px))
             sides = clipped[:, 2:] - clipped[:, :2]
-            keep = valid & (scores >= LOWEST_SCORE) & (sides > 0.5).all(dim=1)
+            keep = (scores >= LOWEST_SCORE) & (sides > 0.5).all(dim=1)
             ordered, order = scores[keep].sort(descending=True, stable=True)
             kept_scores = ordered[: windows * _MOST_CANDIDATES]
             kept_boxes = clipped[keep][order[: windows * _MOST_CANDIDATES]]

@@ -104,7 +104,7 @@ class ImportedDetector(TrainableDetector):
         with self._seeing(images) as scaled:
             found = self.network.candidates(scaled)
         ratio = self._ratio(images).to(found.boxes)
-        return Candidates(found.boxes * ratio, found.scores, found.valid)
+        return Candidates(found.boxes * ratio, found.scores)
 
     def pyramid(self, images: Images) -> tuple[list[Tensor], int]:
         """See `TrainableDetector.pyramid`; the features are those at the network's resolution."""
@@ -276,8 +276,7 @@ class ImportedFcos(_Imported):
         # The slope of the root is infinite at 0.
         centredness = outputs["bbox_ctrness"][..., 0].sigmoid()
         product = outputs["cls_logits"].amax(dim=-1).sigmoid() * centredness
-        scores = product.clamp(min=1e-12).sqrt()
-        return Candidates(boxes, scores, torch.ones_like(scores, dtype=torch.bool))
+        return Candidates(boxes, product.clamp(min=1e-12).sqrt())
 
 
 # torchvision's families, each with the layer that has one row per class, or one per class and each

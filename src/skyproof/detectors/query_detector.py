@@ -78,8 +78,7 @@ class QueryDetector(TrainableDetector):
         boxes = box_convert(found.boxes, "cxcywh", "xyxy") * sides
         nothing = self._tells_nothing(found.logits)
         scores = found.logits.softmax(dim=-1) if nothing else found.logits.sigmoid()
-        best = scores[..., self.vehicle_classes].amax(dim=-1)
-        return Candidates(boxes, best, torch.ones_like(best, dtype=torch.bool))
+        return Candidates(boxes, scores[..., self.vehicle_classes].amax(dim=-1))
 
     def loss(self, images: Images, targets: Sequence[Boxes]) -> Float[Tensor, " B"]:
         """The library's own loss of each image, and for an empty truth its part for the queries.

@@ -136,7 +136,7 @@ class RetinaNetDetector(TorchvisionDetector):
         deltas = outputs["bbox_regression"]
         boxes = self.model.box_coder.decode(deltas, [anchors] * len(images))
         scores = outputs["cls_logits"].amax(dim=-1).sigmoid()
-        return Candidates(boxes.view_as(deltas), scores, torch.ones_like(scores, dtype=torch.bool))
+        return Candidates(boxes.view_as(deltas), scores)
 
 
 class FasterRcnnDetector(TorchvisionDetector):
@@ -188,7 +188,7 @@ class FasterRcnnDetector(TorchvisionDetector):
         return torch.stack(losses)
 
     def candidates(self, images: Images) -> Candidates:
-        """Returns every proposal's box and best vehicle score; padding rows are not valid."""
+        """Returns every proposal's box and best vehicle score; padding rows have a score of 0."""
         features, image_list = self._features(images)
         *_, proposals = self._proposal_outputs(features, image_list)
         logits, region_deltas = self._region_outputs(features, proposals, image_list)
@@ -199,10 +199,7 @@ class FasterRcnnDetector(TorchvisionDetector):
             len(columns), logits.shape[1], 4
         )
         boxes = decoded[torch.arange(len(columns), device=columns.device), columns]
-        valid = torch.ones_like(scores, dtype=torch.bool)
-        padded = (
-            pad_sequence(each.split(counts), batch_first=True) for each in (boxes, scores, valid)
-        )
+        padded = (pad_sequence(each.split(counts), batch_first=True) for each in (boxes, scores))
         return Candidates(*padded)
 
     def _proposal_outputs(

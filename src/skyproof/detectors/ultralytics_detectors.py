@@ -75,7 +75,7 @@ class YoloDetector(TrainableDetector):
         else:
             boxes = dist2bbox(distances, points, xywh=False)
         scores = outputs["scores"][:, list(self.vehicle_classes)].amax(dim=1).sigmoid()
-        return Candidates(boxes * strides, scores, torch.ones_like(scores, dtype=torch.bool))
+        return Candidates(boxes * strides, scores)
 
     def loss(self, images: Images, targets: Sequence[Boxes]) -> Float[Tensor, " B"]:
         """Returns Ultralytics' own v8DetectionLoss of each image, from one forward pass.
