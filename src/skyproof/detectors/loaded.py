@@ -181,8 +181,6 @@ def copy_with_threshold(
             validation=frozen.validation,
             validation_vehicles=frozen.validation_vehicles,
         )
-        parent = inside(folder, PARENT_FILE, folder)
-        if parent.is_file():
-            write_bytes(partial / PARENT_FILE, parent.read_bytes())
-        save_detector(partial, detector, card)
+        copy_detector(detector_folder(folder), partial)
+        write_card(partial / "detector.json", card)
     return f"Threshold {card.threshold:.3f} instead of {detector.threshold:.3f}: {how}."
