@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import msgspec
 from filelock import FileLock, Timeout
 
 from skyproof.errors import NotFiniteError, RunFolderError, SkyproofError, StoredFileError
@@ -257,6 +258,11 @@ def file_digest(path: Path) -> str:
     """Computes the SHA-256 of a file of any size."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def value_digest(value: Any) -> str:
+    """Computes the SHA-256 of plain values, dataclasses and Structs, by their JSON text."""
+    return hashlib.sha256(msgspec.json.encode(value)).hexdigest()
 
 
 def inside(folder: Path, reference: str, document: Path) -> Path:

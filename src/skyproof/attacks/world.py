@@ -1,12 +1,10 @@
 """The world of an attack: ground, vehicles, light and camera, drawn anew at every step."""
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
-import msgspec
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -16,6 +14,7 @@ from skyproof.camouflage.random_controls import RandomPatterns
 from skyproof.detectors.batches import Batch
 from skyproof.detectors.inference import device_of
 from skyproof.errors import ConfigurationError
+from skyproof.files import value_digest
 from skyproof.render.dataset import placed_vehicles
 from skyproof.render.frames import Frames, Renderer
 from skyproof.render.renderer import TorchRenderer
@@ -82,8 +81,8 @@ class World:
     @cached_property
     def digest(self) -> str:
         """The SHA-256 of the index of the ground's tiles and of the vehicles' sizes."""
-        facts = [self.backgrounds.gsd_m, self.backgrounds.tiles(self.split), self.fleet.sizes_m]
-        return hashlib.sha256(msgspec.json.encode(facts)).hexdigest()
+        ground = self.backgrounds
+        return value_digest([ground.gsd_m, ground.tiles(self.split), self.fleet.sizes_m])
 
     @property
     def gsd_m(self) -> float:

@@ -1,13 +1,11 @@
 """The precheck: is a detector worth attacking? Changes without optimisation answer that."""
 
-import hashlib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from textwrap import wrap
 from typing import Any
 
-import msgspec
 import numpy as np
 import torch
 from jaxtyping import Float
@@ -21,6 +19,7 @@ from skyproof.camouflage.palette import ground_palette
 from skyproof.camouflage.patterns import PATTERNS, draw_pattern
 from skyproof.detectors.detector import Detector
 from skyproof.errors import ConfigurationError
+from skyproof.files import value_digest
 from skyproof.measure.baseline import BaselineSet, measure_baselines
 from skyproof.measure.likeness import compare_kinds
 from skyproof.measure.measure import compare
@@ -90,9 +89,9 @@ class PrecheckScenes:
             draws=self.draws,
             seed=self.seed,
             frames=tuple(each.name for each in self.frames),
-            frames_sha256=tuple(_digest(each.images.digest, each.note) for each in self.frames),
-            ground_sha256=_digest(self.backgrounds.gsd_m, tiles),
-            fleet_sha256=_digest(self.fleet.sizes_m),
+            frames_sha256=tuple(value_digest([its.images.digest, its.note]) for its in self.frames),
+            ground_sha256=value_digest([self.backgrounds.gsd_m, tiles]),
+            fleet_sha256=value_digest([self.fleet.sizes_m]),
         )
 
 
@@ -217,10 +216,6 @@ def _rates(
             rate = replace(rate, lost_by_tile=tuple(lost.tolist()))
         own.append(rate)
     return rates
-
-
-def _digest(*values: Any) -> str:
-    return hashlib.sha256(msgspec.json.encode(values)).hexdigest()
 
 
 def precheck_lines(record: PrecheckRecord, doubts: Sequence[str] = ()) -> list[str]:
