@@ -156,11 +156,8 @@ def worn_texels(vehicles: VehicleBatch, mask: _Masks | None) -> _Masks:
 
 def mean_measures(measures: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """Means over the vehicles that have a measure."""
-    columns: dict[str, list[float]] = {}
-    for row in measures:
-        for name, value in row.items():
-            columns.setdefault(name, []).append(value)
-    return {name: fmean(values) for name, values in columns.items()}
+    names = dict.fromkeys(name for row in measures for name in row)
+    return {name: fmean(row[name] for row in measures if name in row) for name in names}
 
 
 def _numbered_colours(texture: _Texture) -> tuple[Int[Tensor, "512 512"], int]:
