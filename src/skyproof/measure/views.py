@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, UInt8
 from torch import Tensor
 
 from skyproof.camouflage.camouflage import Camouflage
@@ -225,7 +225,9 @@ def _render_and_detect(
                 sizes = zip(shown.sizes_px, batch, strict=True)
                 pictures += [_Rendered(size, partial(draw, [one])) for size, one in sizes]
                 owner = frames.scene_index.cpu()
-                labels = _as_stored(frames.boxes.cpu())
+                # Rounded as in a dataset folder, which keeps corner, width and height.
+                corners, ends = frames.boxes.cpu().split(2, dim=1)
+                labels = torch.cat([corners, corners + (ends - corners)], dim=1)
                 boxes += [labels[owner == index] for index in range(len(batch))]
                 fractions = frames.visible_fraction.float().cpu()
                 visible += [fractions[owner == index] for index in range(len(batch))]
@@ -254,12 +256,6 @@ class _Rendered:
 
 def _bytes(frames: Frames) -> UInt8[Tensor, "B 3 H W"]:
     return (frames.image * 255).round().byte()
-
-
-def _as_stored(boxes: Float[Tensor, "N 4"]) -> Float[Tensor, "N 4"]:
-    """Rounds boxes as a dataset folder does, which keeps corner, width and height."""
-    corner = boxes[:, :2]
-    return torch.cat([corner, corner + (boxes[:, 2:] - corner)], dim=1)
 
 
 def _check(detectors: Sequence[Detector], scenes: Sequence[Scene]) -> None:
