@@ -61,7 +61,9 @@ class Train:
         network, parent = build_detector(*kind, generator=weights), None
         settings = replace(TRAINING_PRESETS[kind], **self.settings)
         device = choose_device(self.device)
-        rendered = [folder for folder in self.data if _is_rendered(folder)]
+        # Images are rendered of ground and vehicles in a folder without labelled images.
+        grounds = [folder for folder in self.data if Layout(folder).backgrounds.is_dir()]
+        rendered = [each for each in grounds if not (each / "annotations.json").exists()]
         sets = [Dataset.open(folder) for folder in self.data if folder not in rendered]
         training = Dataset.joined(sets) if sets or not rendered else None
         validation = Dataset.open(self.validation)
@@ -96,11 +98,6 @@ class Train:
                 drawn=world,
             )
         say_card(card, self.out)
-
-
-def _is_rendered(folder: Path) -> bool:
-    """Whether images are rendered of a folder's ground and vehicles: it has no labelled images."""
-    return Layout(folder).backgrounds.is_dir() and not (folder / "annotations.json").exists()
 
 
 def _open_world(folders: Sequence[Path], gsd_m: float) -> "World":
