@@ -9,8 +9,6 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.reproduction.agreement import correlated, correlation_grid, successes, with_paper
 from skyproof.reproduction.cells import (
     Block,
-    Heading,
-    Table,
     TextTable,
     Topic,
     at_equal_alarms,
@@ -58,7 +56,6 @@ def cycles_part(run: Reproduction, rows: Sequence[Mapping[str, Any]]) -> Topic:
     changes = _changes(run)
     agreements = _agreements(run)
     blocks: list[Block] = [
-        Heading("On Cycles"),
         "The column “on Cycles” has the same detectors, test scenes and camouflages, but the "
         "images are drawn by Blender’s path tracer Cycles instead of the differentiable renderer: "
         "light that no attack saw while it was learnt. It is the counterpart of the paper’s "
@@ -78,8 +75,7 @@ def cycles_part(run: Reproduction, rows: Sequence[Mapping[str, Any]]) -> Topic:
             correlation_grid(agreements),
         ]
     blocks += _originals(run)
-    tables = [Table("cycles", changes), Table("cycles_agreement", agreements)]
-    return Topic(tables, [block for block in blocks if block])
+    return Topic.of("On Cycles", {"cycles": changes, "cycles_agreement": agreements}, *blocks)
 
 
 def rates_under(

@@ -118,10 +118,6 @@ def _attack(row: Mapping[str, Any]) -> str:
     return f"{row['attack']} (only at home)" if row.get("only_at_home") else row["attack"]
 
 
-def _outside_range(row: Mapping[str, Any]) -> str:
-    return span(row.get("outside_easr_min"), row.get("outside_easr_max"))
-
-
 def _columns(rows: Sequence[Mapping[str, Any]]) -> list[Column]:
     """The columns that both tables have."""
     columns: list[Column] = [
@@ -136,7 +132,8 @@ def _columns(rows: Sequence[Mapping[str, Any]]) -> list[Column]:
         ("APD", value("apd")),
     ]
     if any("outside_easr_min" in row for row in rows):
-        columns.append(("held-out detectors", _outside_range))
+        ends = ("outside_easr_min", "outside_easr_max")
+        columns.append(("held-out detectors", lambda row: span(*map(row.get, ends))))
     on_cycles = any("cycles_easr" in row for row in rows)
     if on_cycles:
         columns += [

@@ -5,7 +5,7 @@ from typing import Any
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.errors import ConfigurationError
-from skyproof.reproduction.cells import Cell, Heading, Table, TextTable, Topic, interval_cells, rate
+from skyproof.reproduction.cells import Cell, Table, TextTable, Topic, interval_cells, rate
 from skyproof.reproduction.reproduction import Reproduction
 from skyproof.results.result import MAIN_MATCH, MEAN, Result
 from skyproof.results.results import RENDERER
@@ -40,7 +40,7 @@ def transfer_part(run: Reproduction) -> Topic:
         ("learnt on", lambda row: ", ".join(map(detector_name, row["attacked_on"].split()))),
         *((f"EASR on {detector_name(each)}", rate(each)) for each in run.detectors),
     ]
-    return Topic([Table("transfer", rows)], [Heading("Transfer"), TextTable.of(rows, columns)])
+    return Topic.of("Transfer", {"transfer": rows}, TextTable.of(rows, columns))
 
 
 def transfer_rows(

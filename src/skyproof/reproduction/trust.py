@@ -27,7 +27,11 @@ _LENIENT = f"easr_{LENIENT_MATCH}"
 
 def trust_part(run: Reproduction, rows: Sequence[Mapping[str, Any]]) -> Topic:
     """Says whether chance explains the rows of the paper's tables, and how attacks converge."""
-    signs = _sign_rows(run)
+    signs: list[dict[str, Any]] = [
+        {"attack": name, "detector": detector, **found}
+        for name, record in run.results.records.items()
+        for detector, found in (record.sign_test or {}).items()
+    ]
     convergence = _convergence_rows(run)
     return Topic.of(
         "Can the attacks be trusted?",
@@ -85,14 +89,6 @@ def _tests(run: Reproduction, rows: Sequence[Mapping[str, Any]]) -> str:
 
 def _named(what: str, names: Sequence[str]) -> str:
     return f"{what}: {', '.join(names)}." if names else ""
-
-
-def _sign_rows(run: Reproduction) -> list[dict[str, Any]]:
-    return [
-        {"attack": name, "detector": detector, **found}
-        for name, record in run.results.records.items()
-        for detector, found in (record.sign_test or {}).items()
-    ]
 
 
 def _signs(rows: Sequence[Mapping[str, Any]]) -> list[Block]:
