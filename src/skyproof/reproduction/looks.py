@@ -107,10 +107,8 @@ def _learnt(textures: Textures) -> list[CamouflageName]:
 
 
 def _mean(row: Mapping[str, Any], place: str) -> str:
-    mean = number(row[place])
-    if row["textures"] < 2:
-        return mean
-    return f"{mean} ({span(row[f'{place}_min'], row[f'{place}_max'])})"
+    ends = f" ({span(row[f'{place}_min'], row[f'{place}_max'])})"
+    return number(row[place]) + (ends if row["textures"] > 1 else "")
 
 
 def _weather(rows: Sequence[Mapping[str, Any]]) -> str:

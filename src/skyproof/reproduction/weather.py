@@ -128,8 +128,7 @@ def _cells(parts: Sequence[Sequence[Outcome]]) -> dict[str, Any]:
 
 
 def _condition(row: Mapping[str, Any]) -> str:
-    text: str = row["condition"].replace("_", " ")
-    return text
+    return str(row["condition"]).replace("_", " ")
 
 
 def _readings(rows: Sequence[Mapping[str, Any]]) -> list[str]:
