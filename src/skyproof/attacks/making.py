@@ -52,7 +52,6 @@ def draw_random_control(
         **_constraints(name, palette, settings),
         "texture_sha256": None if texture is None else weights_digest(texture),
     }
-
     if not _is_made(folder, "drawn", drawn):
         given = {"palette": palette, "texture": texture, "settings": settings}
         _store(folder, make.draw_control(name, seed=seed, **given), {"seed": seed, "drawn": drawn})
@@ -92,7 +91,6 @@ class Maker:
             **_constraints(name, self.palette, self.camouflage),
             "texture_sha256": None,
         }
-
         if not _is_made(folder, "by", by):
             candidates = make.make_candidates(
                 name, draws, seed=seed, palette=self.palette, settings=self.camouflage

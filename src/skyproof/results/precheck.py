@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Int
 from msgspec import Meta, Struct, structs
 
-from skyproof.detectors.card import LEAST_VEHICLES, read_card
+from skyproof.detectors.card import LEAST_VEHICLES, Digest, read_card
 from skyproof.documents import read_document
 from skyproof.errors import StoredFileError
 from skyproof.files import new_file, write_json
@@ -69,7 +69,6 @@ _MANY: dict[Kind, str] = {
     "sun": "elevations of the sun",
 }
 
-_Digest = Annotated[str, Meta(max_length=64)]
 _Counts = Annotated[tuple[WholeNumber, ...], Meta(max_length=10_000)]
 
 
@@ -94,14 +93,14 @@ class MeasuredOn:
     """The identity of a precheck; digests that an older record lacks are empty."""
 
     scenes: Count
-    scenes_sha256: _Digest
+    scenes_sha256: Digest
     sources: tuple[Text, ...]
     draws: Count
     seed: Seed
     frames: tuple[Label, ...] = ()
-    frames_sha256: tuple[_Digest, ...] = ()
-    ground_sha256: _Digest = ""
-    fleet_sha256: _Digest = ""
+    frames_sha256: tuple[Digest, ...] = ()
+    ground_sha256: Digest = ""
+    fleet_sha256: Digest = ""
 
     def differing(self, other: "MeasuredOn") -> list[str]:
         """Names what differs between two prechecks, as far as both records hold it."""
@@ -223,7 +222,7 @@ class _PrecheckDocument(Struct, frozen=True):
     """The form of `precheck.json`, beside its format."""
 
     detector: Name
-    weights_sha256: _Digest
+    weights_sha256: Digest
     threshold: Fraction
     measured_on: MeasuredOn
     sets: Annotated[list[_BaselineRow], Meta(min_length=1, max_length=1000)]

@@ -109,7 +109,7 @@ def f1(precision: float, recall: float) -> float:
 class ScoreRecord:
     """Contents of `score.json`: thresholds in the order of detectors, and the bootstrap's seed."""
 
-    thresholds: Mapping[Name, Annotated[float, Meta(ge=-1e6, le=1e6)]]
+    thresholds: Mapping[Name, _Threshold]
     seed: Seed = 0
     renderer: Name | None = None
     sources: Sequence[Text] = ()
