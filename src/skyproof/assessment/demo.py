@@ -17,14 +17,12 @@ from skyproof.layout import Layout
 from skyproof.report.hardened import Parent, as_parent
 from skyproof.results.precheck import PRECHECK_FILE
 from skyproof.results.results import Results
-from skyproof.words import detector_name
 
 
 def run_demo(request: Request, hardened: Path) -> Path:
     """Assesses a detector, and then `hardened` beside it; returns the second report's path."""
     run_assessment(request, DEMO_SUITE)
-    name = read_card(hardened).name
-    folder = Layout(request.out / "hardening").detector(name)
+    folder = Layout(request.out / "hardening").detector(read_card(hardened).name)
     if not folder.exists():
         # What it keeps of its parent is of other scenes than the demo's.
         kept: Parent = read_document(hardened / PARENT_FILE, Parent, "install skyproof again")
@@ -32,6 +30,6 @@ def run_demo(request: Request, hardened: Path) -> Path:
         with finished_folder(folder) as partial:
             copy_detector(hardened, partial, [PRECHECK_FILE])
             write_json(partial / PARENT_FILE, to_builtins(parent))
-    say(f"The same attacks on the hardened {detector_name(name)}, optimised anew:")
+    say("The same attacks on the hardened detector, optimised anew:")
     again = replace(request, detectors=(folder,), out=request.out / "hardened")
     return run_assessment(again, DEMO_SUITE)

@@ -116,30 +116,22 @@ def _changed(
 ) -> list[str]:
     """Says at equal false alarms, where they are known, what attacks hide, and if surely less."""
     place = min(1, len(points) - 1)
-    where = "At its own threshold"
-    if place:
-        where = f"At {EQUAL_ALARMS[points[place]]} false alarms per km² of empty ground"
-    told = []
-    for side in (1, 0):
-        rates = {name: pairs[place][side].estimate for name, pairs in hidden.items()}
-        strongest = max(rates, key=lambda name: rates[name])
-        told.append(f"{percent(rates[strongest])} ({strongest})")
-    fewer = [name for name, pairs in hidden.items() if _surely_less(*pairs[place])]
+    rate = EQUAL_ALARMS.get(points[place])
+    where = f"At {rate} false alarms per km² of empty ground" if rate else "At its own threshold"
+    rates = {name: pairs[place] for name, pairs in hidden.items()}
+    before, after = (
+        max((pair[side].estimate, name) for name, pair in rates.items()) for side in (0, 1)
+    )
+    fewer = [name for name, (old, new) in rates.items() if old.minus(new).low > 0]
     return [
         f"{where} it finds {percent(found[place][1])} of the vehicles without camouflage, its "
         f"parent {percent(found[place][0])}. Of these, the strongest attack hides "
-        f"{told[0]}, from its parent {told[1]}.",
+        f"{percent(after[0])} ({after[1]}), from its parent {percent(before[0])} ({before[1]}).",
         f"After hardening, fewer vehicles are surely hidden by {listed(fewer)}."
         if fewer
         else "After hardening, no attack surely hides fewer vehicles: it did not help, had too few "
         "steps, or the test is too small to tell.",
     ]
-
-
-def _surely_less(before: Interval, after: Interval) -> bool:
-    """Whether the second of two independent rates is smaller, by their 95 % intervals."""
-    reach = math.hypot(before.estimate - before.low, after.high - after.estimate)
-    return before.estimate - after.estimate > reach
 
 
 def _known_rates(results: Results) -> tuple[dict[str, dict[str, _Rate]], dict[str, _Limits]]:

@@ -1,6 +1,5 @@
 """Plain paints of the precheck, as controls of optimised camouflages."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -40,9 +39,6 @@ def beside_paints(
 def _net(easr: Interval, paint: str, rates: Sequence[Rate]) -> Contrast:
     """Contrasts a rate with a paint's mean over detectors, as if their limits erred together."""
     ends = [(each.easr.estimate, each.easr.low, each.easr.high) for each in rates]
-    hidden, low, high = np.mean(ends, axis=0).tolist()
-    net = easr.estimate - hidden
-    below = math.hypot(easr.estimate - easr.low, high - hidden)
-    above = math.hypot(easr.high - easr.estimate, hidden - low)
+    hidden = Interval(*np.mean(ends, axis=0).tolist())
     name = CamouflageName("other", random=True, label=paint)
-    return Contrast(name, hidden, 1, Interval(net, net - below, net + above))
+    return Contrast(name, hidden.estimate, 1, easr.minus(hidden))

@@ -1,19 +1,17 @@
 """A scene as plain data: ground, camera, sun, weather, and the vehicles and their places."""
 
 import dataclasses
-import hashlib
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import msgspec
 from msgspec import Meta
 
 from skyproof.documents import read_lines
 from skyproof.errors import StoredFileError
-from skyproof.files import write_jsonl
+from skyproof.files import value_digest, write_jsonl
 from skyproof.ranges import Coordinate, Fraction, GroundResolution, ImageSide, Name, Radians, Seed
 from skyproof.scenes.weather import CLEAR, Weather
 
@@ -133,7 +131,7 @@ def read_scenes(path: Path) -> list[Scene]:
 
 def scenes_digest(scenes: Iterable[Scene]) -> str:
     """Computes the SHA-256 of scenes, which is the same for drawn and for stored ones."""
-    return hashlib.sha256(msgspec.json.encode([_row(scene) for scene in scenes])).hexdigest()
+    return value_digest([_row(scene) for scene in scenes])
 
 
 def _row(scene: Scene) -> dict[str, Any]:

@@ -44,6 +44,13 @@ class Interval:
     unanimous: bool = False
     errors: dict[str, float] = field(default_factory=dict)
 
+    def minus(self, other: "Interval") -> "Interval":
+        """Returns the difference to another rate, as if the two erred independently."""
+        net = self.estimate - other.estimate
+        below = math.hypot(self.estimate - self.low, other.high - other.estimate)
+        above = math.hypot(self.high - self.estimate, other.estimate - other.low)
+        return Interval(net, net - below, net + above)
+
 
 UNDEFINED = Interval(math.nan, math.nan, math.nan)
 
