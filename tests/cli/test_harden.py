@@ -97,6 +97,23 @@ def test_without_photographs_that_is_said(
     answer = skyproof("harden", finished, "--out", tmp_path / "hard", "--steps", 1)
     assert answer.code == 0, answer.err
     assert "without labelled photographs (--data) it may find fewer vehicles on them" in answer.out
+    # AP is that of renders, which do not show the price on photographs.
+    card = load_detector(tmp_path / "hard/detectors/retinanet").card
+    assert card.training["trained_share"] in (0.5, 0.25)
+    assert card.training["identity"]["shares"] == [0.5, 0.25]
+
+
+def test_with_labels_as_much_of_the_trained_weights_stays_as_their_ap_allows(
+    assessed: Path, skyproof: Skyproof
+) -> None:
+    config = json.loads((assessed / "config.json").read_text())
+    write_json(assessed / "config.json", {**config, "labels": "labels.geojson"})
+    for split in ("attack", "validation"):
+        shutil.copytree(assessed / "datasets/validation", assessed / "tiles" / split)
+    answer = skyproof("harden", assessed, "--out", assessed.parent / "hard", "--steps", 1)
+    assert answer.code == 0, answer.err
+    card = load_detector(assessed.parent / "hard/detectors/retinanet").card
+    assert card.training["identity"]["shares"] == [1.0, 0.75, 0.5, 0.25]
 
 
 @pytest.mark.parametrize("changes", [{"suite": None}, {"names": ["retinanet", "faster_rcnn"]}])

@@ -112,10 +112,8 @@ def test_as_much_of_the_trained_weights_stays_as_costs_a_point_of_ap_or_a_quarte
     share: float,
 ) -> None:
     settings = dataclasses.replace(SETTINGS, steps=2)
-    monkeypatch.setattr(hardening, "_MOST_AP_LOST", 1.0)
-    trained, card = run(rendered, tmp_path / "trained", settings=settings)
+    trained, card = run(rendered, tmp_path / "trained", settings=settings, shares=[1.0])
     assert card.training["trained_share"] == 1.0
-    monkeypatch.setattr(hardening, "_MOST_AP_LOST", 0.01)
     usual, left = training.validate, iter(aps)
     monkeypatch.setattr(
         training, "validate", lambda *given: {**usual(*given), "ap_centre_1m": next(left)}

@@ -30,6 +30,7 @@ from skyproof.loop import Loop, LoopPart, refuse_other
 _Tensors = tuple[Tensor, ...] | list[Tensor]
 
 _OTHER = "a training with other settings, another seed, start or images"
+_MOST_AP_LOST = 0.01
 
 
 def train(
@@ -113,21 +114,20 @@ def fit(
     on_step: Callable[[dict[str, Any]], None] | None = None,
     parts: Mapping[str, LoopPart] | None = None,
     *,
-    most_ap_lost: float | None = None,
+    shares: Sequence[float] = (),
 ) -> DetectorCard:
     """Runs the steps of a training as `train` describes; the detector stays in its mode.
 
     `lessons` gets the steps to run, counted from 0. At each it adds the gradients of the step's
     images, and yields their mean loss. `card` is completed with threshold and scores of the best
-    weights. `parts` are further objects that change from step to step. With `most_ap_lost` the
+    weights. `parts` are further objects that change from step to step. With `shares` the
     averaged weights are mixed with those at the start, as `_mix` describes.
     """
     if (folder / "detector.json").exists():
         return _finished(detector, folder, identity)
 
     detector.to(memory_format=torch.channels_last)
-    mixed = most_ap_lost is not None
-    start = [parameter.detach().clone() for parameter in detector.parameters() if mixed]
+    start = [parameter.detach().clone() for parameter in detector.parameters() if shares]
     averaged = _averaged(detector, settings)
     follower = cast(TrainableDetector, averaged.module)
     optimiser = _optimiser(detector, settings)
@@ -172,10 +172,10 @@ def fit(
             averaged.update_parameters(detector)
             loop.report({"kind": "step", "step": step, "loss": float(loss), "learning_rate": rate})
             if step % settings.validate_every == 0 or step == settings.steps:
-                if most_ap_lost is None or step < settings.steps:
-                    scores = validate(follower, validation)
+                if shares and step == settings.steps:
+                    scores = _mix(follower, start, validation, shares)
                 else:
-                    scores = _mix(follower, start, validation, most_ap_lost)
+                    scores = validate(follower, validation)
                 best.keep(follower, scores, step)
                 loop.report({"kind": "validation", "step": step, **scores})
         detector.load_state_dict(best.weights)
@@ -242,24 +242,24 @@ def _mix(
     detector: TrainableDetector,
     start: Sequence[Tensor],
     validation: Dataset,
-    most_ap_lost: float,
+    shares: Sequence[float],
 ) -> dict[str, float]:
     """Mixes the weights with those at the start, and validates the result.
 
-    The share of the trained weights is the largest of 1, 3/4 and 1/2 that loses at most so much
-    centre AP, else 1/4 (Wortsman et al. 2022, "Robust fine-tuning of zero-shot models"). It is the
+    The share of the trained weights is the first of `shares` that loses at most a point of centre
+    AP, else the last (Wortsman et al. 2022, "Robust fine-tuning of zero-shot models"). It is the
     "trained_share" of the scores, beside the "ap_lost".
     """
     trained = [parameter.clone() for parameter in detector.parameters()]
     before, scores = 0.0, {}
-    for share in (0.0, 1.0, 0.75, 0.5, 0.25):
+    for share in (0.0, *shares):
         for mixed, first, last in zip(detector.parameters(), start, trained, strict=True):
             mixed.copy_(torch.lerp(first, last, share))
         scores = validate(detector, validation)
         if not share:
             before = scores["ap_centre_1m"]
         lost = before - scores["ap_centre_1m"]
-        if share and lost <= most_ap_lost:
+        if share and lost <= _MOST_AP_LOST:
             break
     return {**scores, "trained_share": share, "ap_lost": lost}
 

@@ -26,7 +26,7 @@ from skyproof.errors import ConfigurationError
 from skyproof.files import write_json
 from skyproof.hardening.command import Harden
 from skyproof.hardening.images import refuse_other_images, render_images, strongest
-from skyproof.hardening.training import ATTACKS, harden
+from skyproof.hardening.training import ATTACKS, SHARES, SHARES_WITHOUT_LABELS, harden
 from skyproof.imagery.settings import tiling_for_images
 from skyproof.layout import Layout
 from skyproof.report.hardened import as_parent
@@ -91,6 +91,7 @@ def harden_run(request: Harden) -> None:
             settings,
             folder,
             seed=request.seed,
+            shares=SHARES if _labelled(config) else SHARES_WITHOUT_LABELS,
             on_step=lambda row: update(row["step"], settings.steps),
         )
     write_json(folder / PARENT_FILE, to_builtins(parent))

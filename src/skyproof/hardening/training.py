@@ -1,7 +1,7 @@
 """Training on vehicles in camouflages that are optimised against the detector as it learns."""
 
 import copy
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -34,8 +34,9 @@ _ALIVE, _LIFE_STEPS = 4, 80
 # Camouflages that are kept, and the share of steps that show one, so that none is forgotten.
 _KEPT, _KEPT_SHARE = 12, 0.3
 _CLIMB = AttackSettings(learning_rate=0.1)
-# The more of the trained weights, the more robust, and the lower the AP (docs/detectors.md).
-_MOST_AP_LOST = 0.01
+# The more of the trained weights, the more robust, and the lower the AP (docs/detectors.md). AP on
+# renders hardly tells what is lost on photographs, so without labels half is the most.
+SHARES, SHARES_WITHOUT_LABELS = (1.0, 0.75, 0.5, 0.25), (0.5, 0.25)
 EMPTY_SHARE = 0.5
 """Share of the plain images without vehicles."""
 
@@ -49,6 +50,7 @@ def harden(
     folder: Path,
     *,
     seed: int,
+    shares: Sequence[float] = SHARES,
     on_step: Callable[[dict[str, Any]], None] | None = None,
 ) -> DetectorCard:
     """Trains a detector further, in place and into `folder`, and freezes a new threshold.
@@ -59,10 +61,10 @@ def harden(
     which go up ("free" adversarial training, Shafahi et al. 2019). A camouflage is optimised for 80
     steps of its own. Then a fresh one follows it, and the old one returns from time to time.
 
-    The result mixes the parent's weights with the averaged ones of the last step: as much of these
-    as costs at most 1 point of AP on the validation images, and a quarter at least. Scores on
-    images without camouflage choose no step, because they say nothing about robustness. A stopped
-    hardening continues, and raises errors, as `train` does.
+    The result mixes the parent's weights with the averaged ones of the last step: the largest share
+    of these that costs at most 1 point of AP on the validation images. Scores on images without
+    camouflage choose no step, because they say nothing about robustness. A stopped hardening
+    continues, and raises errors, as `train` does.
 
     Args:
         detector: a detector with its card, on the device to work on.
@@ -70,6 +72,7 @@ def harden(
         photographs: labelled images, apart from those of any test.
         validation: labelled images to freeze the threshold on.
         settings: steps, images per step and learning rate.
+        shares: shares of the trained weights to try, the largest first; the last needs no AP.
         folder: detector folder to write.
     """
     parent = detector.card
@@ -83,7 +86,7 @@ def harden(
         "world_sha256": world.digest,
         "data_sha256": None if photographs is None else photographs.digest,
         "validation_sha256": validation.digest,
-        "most_ap_lost": _MOST_AP_LOST,
+        "shares": list(shares),
     }
     # Half of a step's images show camouflages.
     halved = replace(settings, batch_size=settings.batch_size - settings.batch_size // 2)
@@ -127,7 +130,7 @@ def harden(
         card,
         on_step,
         {"worn": worn},
-        most_ap_lost=_MOST_AP_LOST,
+        shares=shares,
     )
 
 
