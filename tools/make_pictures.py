@@ -344,7 +344,7 @@ def draw_demo_result(run_folder: Path, count: int = 8) -> Image.Image:
         seen = views([detector], scenes, [texture], stage, progress=lambda _: None)
         drawn = [_detections(view, detector) for view in seen]
         rows += drawn[1:] if rows else drawn
-    side, gap, label = 240, 4, 44
+    side, gap, label = 180, 4, 36
     sheet = Image.new("RGB", (count * (side + gap) + gap, len(rows) * (side + label) + gap), PAPER)
     pen = ImageDraw.Draw(sheet)
     texts = (
@@ -354,7 +354,7 @@ def draw_demo_result(run_folder: Path, count: int = 8) -> Image.Image:
     )
     for number, (row, text) in enumerate(zip(rows, texts, strict=True)):
         top = number * (side + label)
-        pen.text((gap, top + 3), text, fill=INK, font=font(32))
+        pen.text((gap, top + 3), text, fill=INK, font=font(26))
         for column, picture in enumerate(row):
             place = (gap + column * (side + gap), top + label)
             sheet.paste(picture.resize((side, side), Image.Resampling.LANCZOS), place)

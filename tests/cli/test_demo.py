@@ -309,7 +309,12 @@ def test_the_first_figure_shows_the_attack_before_and_after_hardening(demo: Path
     figure = page[page.index('<figure class="show">') : page.index("</figure>")]
     pictures = re.findall('src="([^"]+)" alt="[^"]*( without|, before|, after) ', figure)
     assert [where for _, where in pictures] == [" without", ", before", ", after"]
+    assert "<h1>After hardening: How robust" in page
+    assert re.search("Before hardening, T-U hid [−0-9]+", page)
+    # What was done already is not advised again.
+    assert "Harden the detectors as described below" not in page
     first = (demo / "report.html").read_text()
+    assert "<h1>After hardening" not in first
     figure = first[first.index('<figure class="show">') : first.index("</figure>")]
     assert len(re.findall("<img ", figure)) == 2
     told = json.loads((demo / "hardened/detectors/retinanet/parent.json").read_text())

@@ -191,7 +191,7 @@ class Request:
 class Demo:
     """Assesses a reference detector on drawn ground with two attacks, before and after hardening.
 
-    It takes about five minutes on two CPU cores. A stopped run resumes with the same command.
+    It takes about six minutes on two CPU cores. A stopped run resumes with the same command.
 
     Attributes:
         out: run folder to write, with that of the hardened detector in `hardened`.

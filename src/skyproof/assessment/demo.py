@@ -19,8 +19,8 @@ from skyproof.results.precheck import PRECHECK_FILE
 from skyproof.results.results import Results
 
 
-def run_demo(request: Request, hardened: Path) -> Path:
-    """Assesses a detector, and then `hardened` beside it; returns the second report's path."""
+def run_demo(request: Request, hardened: Path) -> None:
+    """Assesses a detector, and then `hardened` beside it."""
     run_assessment(request, DEMO_SUITE)
     folder = Layout(request.out / "hardening").detector(read_card(hardened).name)
     if not folder.exists():
@@ -31,5 +31,4 @@ def run_demo(request: Request, hardened: Path) -> Path:
             copy_detector(hardened, partial, [PRECHECK_FILE])
             write_json(partial / PARENT_FILE, to_builtins(parent))
     say("The same attacks on the hardened detector, optimised anew:")
-    again = replace(request, detectors=(folder,), out=request.out / "hardened")
-    return run_assessment(again, DEMO_SUITE)
+    run_assessment(replace(request, detectors=(folder,), out=request.out / "hardened"), DEMO_SUITE)

@@ -9,7 +9,7 @@ from typing import Any
 from msgspec import to_builtins
 
 from skyproof.assessment.subject import places_of
-from skyproof.assessment.suite import read_suite
+from skyproof.assessment.suite import SUITE, read_suite
 from skyproof.attacks.world import World
 from skyproof.cli.ground import Ground
 from skyproof.cli.import_detector import say_card
@@ -23,7 +23,7 @@ from skyproof.detectors.settings import TrainingSettings
 from skyproof.device import choose_device
 from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError
-from skyproof.files import write_json
+from skyproof.files import file_digest, write_json
 from skyproof.hardening.command import Harden
 from skyproof.hardening.images import refuse_other_images, render_images, strongest
 from skyproof.hardening.training import ATTACKS, SHARES, SHARES_WITHOUT_LABELS, harden
@@ -102,6 +102,8 @@ def harden_run(request: Harden) -> None:
         f"AP on the validation images falls by {100 * made['ap_lost']:.1f} points."
     )
     say(f"Assess it anew: {_assess(config, folder)}")
+    if config["suite"].get("sha256") != file_digest(SUITE):
+        say("  note: that command has other scenes than this run; assess its parent by it, too.")
 
 
 def _photographs(

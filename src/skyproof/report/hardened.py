@@ -88,7 +88,7 @@ def beside_parent(results: Results) -> Beside | None:
         return None
     if parent.scenes_sha256 != _scenes_of(results):
         told = "Its parent was assessed on other scenes, so their rates cannot be compared."
-        return Beside([f"{told} Give the imagery, labels and seed of that assessment."])
+        return Beside([told, "Assess both by one command, with the same imagery, labels and seed."])
     old, (new, ap) = parent.rates, _known_rates(results)
     attacks = [name for name in new if name in old]
     every = [of_one[name] for of_one in (old, new) for name in attacks]
@@ -118,19 +118,18 @@ def _changed(
     place = min(1, len(points) - 1)
     rate = EQUAL_ALARMS.get(points[place])
     where = f"At {rate} false alarms per km² of empty ground" if rate else "At its own threshold"
-    rates = {name: pairs[place] for name, pairs in hidden.items()}
-    before, after = (
-        max((pair[side].estimate, name) for name, pair in rates.items()) for side in (0, 1)
-    )
-    fewer = [name for name, (old, new) in rates.items() if old.minus(new).low > 0]
+    rates = [(name, *pairs[place]) for name, pairs in hidden.items()]
+    before = max((old.estimate, name) for name, old, _ in rates)
+    after = max((new.estimate, name) for name, _, new in rates)
+    fewer = [name for name, old, new in rates if old.minus(new).low > 0]
     return [
         f"{where} it finds {percent(found[place][1])} of the vehicles without camouflage, its "
         f"parent {percent(found[place][0])}. Of these, the strongest attack hides "
         f"{percent(after[0])} ({after[1]}), from its parent {percent(before[0])} ({before[1]}).",
-        f"After hardening, fewer vehicles are surely hidden by {listed(fewer)}."
+        f"There, surely fewer vehicles than before are hidden by {listed(fewer)}."
         if fewer
-        else "After hardening, no attack surely hides fewer vehicles: it did not help, had too few "
-        "steps, or the test is too small to tell.",
+        else "There, no attack surely hides fewer vehicles than before: hardening did not help, "
+        "had too few steps, or the test is too small to tell.",
     ]
 
 

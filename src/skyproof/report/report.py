@@ -137,6 +137,8 @@ def _write(
     precheck = precheck_part(results)
     baselines = baseline_sets(results)
     hardened = hardening(results, every)
+    beside = beside_parent(results)
+    advised = hardened is not None and beside is None
     page = templates("skyproof.report").get_template("report.html.j2")
     html = page.render(
         results=results,
@@ -158,8 +160,8 @@ def _write(
         bounds=(LARGEST_DIFFERENCE, LEAST_OVERLAP),
         points=_points(results),
         alarms=alarms_in_words(results.points),
-        beside=beside_parent(results),
-        opening=opening(every, acceptance, precheck, baselines, hardened=hardened is not None),
+        beside=beside,
+        opening=opening(every, acceptance, precheck, baselines, hardened=advised),
         strongest=str(strongest.camouflage) if strongest else "",
         example=next(iter(contents.pairs(strongest, 1)), None) if strongest else None,
         more=more,
