@@ -35,8 +35,10 @@ def rendered(tmp_path_factory: pytest.TempPathFactory) -> RenderedWorld:
 
 @pytest.fixture(autouse=True)
 def _short(monkeypatch: pytest.MonkeyPatch) -> None:
-    # Camouflages are kept, and kept ones are shown, within a few steps.
+    # Camouflages are kept, and kept ones are shown, within a few steps; so are those of rounds.
     monkeypatch.setattr(hardening, "_LIFE_STEPS", 6)
+    monkeypatch.setattr(hardening, "_ROUND_STEPS", 8)
+    monkeypatch.setattr(hardening, "_ROUND", dataclasses.replace(hardening._ROUND, steps=3))
 
 
 def world_of(rendered: RenderedWorld) -> World:
@@ -163,23 +165,54 @@ def test_camouflages_climb_the_loss_that_the_detector_descends(
         return made[-1]
 
     monkeypatch.setattr(hardening, "make_camouflage", remember)
-    for name, value in (("_LIFE_STEPS", 80), ("_ALIVE", 1), ("ATTACKS", ("T-U",))):
+    constants = {"_LIFE_STEPS": 80, "_ALIVE": 1, "ATTACKS": ("T-U",), "_ROUND_STEPS": 80}
+    for name, value in constants.items():
         monkeypatch.setattr(hardening, name, value)
     # The detector hardly moves, so only the camouflage does.
     still = dataclasses.replace(SETTINGS, steps=60, learning_rate=1e-9, checkpoint_every=60)
     detector, _ = run(rendered, tmp_path / "out", settings=still)
     (climber,) = made
     ((_, start, _),) = hardening._Worn(3, torch.rand(5, 3), torch.device("cpu"))._alive
+    assert loss_of(rendered, detector, climber) > loss_of(rendered, detector, start) + 0.3
+
+
+def test_rounds_attack_the_averaged_weights_and_keep_the_textures(
+    rendered: RenderedWorld, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[hardening._Worn] = []
+    averaged: list[TrainableDetector] = []
+
+    class Remembered(hardening._Worn):
+        def attack(self, detector: TrainableDetector, world: World, step: int) -> None:
+            super().attack(detector, world, step)
+            made.append(self)
+            averaged.append(detector)
+            assert step == 8
+
+    monkeypatch.setattr(hardening, "_Worn", Remembered)
+    monkeypatch.setattr(hardening, "_LIFE_STEPS", 80)
+    monkeypatch.setattr(hardening, "_ROUND", dataclasses.replace(hardening._ROUND, steps=40))
+    still = dataclasses.replace(SETTINGS, steps=9, learning_rate=1e-9)
+    detector, _ = run(rendered, tmp_path / "out", settings=still)
+    (worn,), (follower,) = made, averaged
+    assert not any(
+        left is right
+        for left, right in zip(follower.parameters(), detector.parameters(), strict=True)
+    )
+    assert [str(kept.name) for _, kept in worn._kept] == ["T-U", "T-Ma"]
+    for number, kept in worn._kept:
+        _, start, _ = worn._fresh(number)
+        assert loss_of(rendered, detector, kept) > loss_of(rendered, detector, start) + 0.3
+
+
+@torch.no_grad()
+def loss_of(rendered: RenderedWorld, detector: TrainableDetector, worn: Camouflage) -> float:
+    """The loss of a detector on vehicles in a camouflage."""
     world = world_of(rendered)
     scenes = world.step_scenes(24, 1, 1)
-
-    @torch.no_grad()
-    def loss(worn: Camouflage) -> float:
-        frames = world.frames(worn, scenes)
-        boxes = [frames.boxes[frames.scene_index == row] for row in range(len(scenes))]
-        return float(detector.loss(frames.image, boxes).mean())
-
-    assert loss(climber) > loss(start) + 0.3
+    frames = world.frames(worn, scenes)
+    boxes = [frames.boxes[frames.scene_index == row] for row in range(len(scenes))]
+    return float(detector.loss(frames.image, boxes).mean())
 
 
 def test_an_imported_detector_is_hardened_and_stays_imported(

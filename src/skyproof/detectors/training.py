@@ -80,7 +80,7 @@ def train(
         identity["world_sha256"] = drawn.digest
     width, height = _check(training, validation, drawn)
 
-    def lessons(steps: range) -> Iterator[Tensor]:
+    def lessons(steps: range, _: TrainableDetector) -> Iterator[Tensor]:
         make = partial(training_batches, training, drawn, settings, seed, device_of(detector))
         for batches in made_ahead(make, steps):
             yield add_gradients(detector, batches)
@@ -109,7 +109,7 @@ def fit(
     settings: TrainingSettings,
     folder: Path,
     identity: dict[str, Any],
-    lessons: Callable[[range], Iterator[Tensor]],
+    lessons: Callable[[range, TrainableDetector], Iterator[Tensor]],
     card: DetectorCard,
     on_step: Callable[[dict[str, Any]], None] | None = None,
     parts: Mapping[str, LoopPart] | None = None,
@@ -118,10 +118,10 @@ def fit(
 ) -> DetectorCard:
     """Runs the steps of a training as `train` describes; the detector stays in its mode.
 
-    `lessons` gets the steps to run, counted from 0. At each it adds the gradients of the step's
-    images, and yields their mean loss. `card` is completed with threshold and scores of the best
-    weights. `parts` are further objects that change from step to step. With `shares` the
-    averaged weights are mixed with those at the start, as `_mix` describes.
+    `lessons` gets the steps to run, counted from 0, and a detector with the averaged weights. It
+    adds the gradients of each step and yields the mean loss. `card` gets threshold and scores of
+    the best weights. `parts` are further objects that change from step to step. With `shares` the
+    averaged weights are mixed with those before (`_mix`).
     """
     if (folder / "detector.json").exists():
         return _finished(detector, folder, identity)
@@ -156,7 +156,7 @@ def fit(
             return _finished(detector, folder, identity)
         loop.resume()
         optimiser.zero_grad(set_to_none=True)
-        for step, loss in zip(loop, lessons(range(loop.step, settings.steps)), strict=True):
+        for step, loss in zip(loop, lessons(range(loop.step, loop.steps), follower), strict=True):
             norm = nn.utils.clip_grad_norm_(detector.parameters(), settings.largest_gradient_norm)
             # One transfer for both, because each one waits for the GPU.
             if not torch.isfinite(loss + norm):

@@ -5,13 +5,14 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skyproof.attacks.attack import make_optimiser
+from skyproof.attacks.attack import attack, make_optimiser
 from skyproof.attacks.settings import AttackSettings
 from skyproof.attacks.world import World, boxes_in_sight
 from skyproof.camouflage.camouflage import Camouflage
@@ -27,10 +28,14 @@ from skyproof.detectors.inference import device_of
 from skyproof.detectors.settings import TrainingSettings
 from skyproof.detectors.training import add_gradients, fit
 from skyproof.randomness import generator_of
+from skyproof.seeds import next_seed
 
 # T-PixFcMa, shapes and combinations are left out, so that they show whether hardening carries over.
 ATTACKS = ("T-U", "T-Ma", "T-Pix")
 _ALIVE, _LIFE_STEPS = 4, 80
+# After so many steps, the averaged weights are attacked from nothing, as an assessment does.
+_ROUND_STEPS, _ROUND_ATTACKS = 250, ATTACKS[:2]
+_ROUND = AttackSettings(steps=150, batch_size=4, learning_rate=0.05, balance_batches=2)
 # Camouflages that are kept, and the share of steps that show one, so that none is forgotten.
 _KEPT, _KEPT_SHARE = 12, 0.3
 _CLIMB = AttackSettings(learning_rate=0.1)
@@ -59,7 +64,9 @@ def harden(
     in the paints of the fleet or none, and a quarter labelled photographs, if there are any. One
     backward pass gives the gradients of the network, which go down, and those of the camouflage,
     which go up ("free" adversarial training, Shafahi et al. 2019). A camouflage is optimised for 80
-    steps of its own. Then a fresh one follows it, and the old one returns from time to time.
+    steps of its own. Then a fresh one follows it, and the old one returns from time to time. Every
+    250 steps, T-U and T-Ma are also optimised against the averaged weights, as in an assessment,
+    and return likewise. They are stronger than camouflages of 80 steps.
 
     The result mixes the parent's weights with the averaged ones of the last step: the largest share
     of these that costs at most 1 point of AP on the validation images. Scores on images without
@@ -82,6 +89,7 @@ def harden(
         "seed": seed,
         "settings": asdict(settings),
         "attacks": list(ATTACKS),
+        "rounds": [_ROUND_STEPS, list(_ROUND_ATTACKS), asdict(_ROUND)],
         "parent_sha256": detector.weights_sha256,
         "world_sha256": world.digest,
         "data_sha256": None if photographs is None else photographs.digest,
@@ -93,9 +101,11 @@ def harden(
     camouflaged, plain = world.for_training(), world.for_training(EMPTY_SHARE)
     worn = _Worn(seed, ground_palette(world.backgrounds), device)
 
-    def take_steps(steps: range) -> Iterator[Tensor]:
+    def take_steps(steps: range, averaged: TrainableDetector) -> Iterator[Tensor]:
         make = partial(training_batches, photographs, plain, halved, seed % 2**62, device)
         for step, batches in zip(steps, made_ahead(make, steps), strict=True):
+            if step and step % _ROUND_STEPS == 0:
+                worn.attack(averaged, world, step)
             draw = generator_of(seed, "attacked", step)
             scenes = camouflaged.draw(settings.batch_size // 2, generator=draw)
             camouflage, climber = worn.of_step(step, draw)
@@ -150,14 +160,28 @@ class _Worn:
         number = _ALIVE * ((turn + place * _LIFE_STEPS // _ALIVE) // _LIFE_STEPS) + place
         before, camouflage, optimiser = self._alive[place]
         if number != before:
-            kept = copy.deepcopy(camouflage).requires_grad_(False)
-            self._kept = [*self._kept, (before, kept)][-_KEPT:]
+            self._keep(before, camouflage)
             self._alive[place] = self._fresh(number)
             _, camouflage, optimiser = self._alive[place]
         if self._kept and float(torch.rand((), generator=generator)) < _KEPT_SHARE:
             chosen = int(torch.randint(len(self._kept), (), generator=generator))
             return self._kept[chosen][1], None
         return camouflage, optimiser
+
+    def attack(self, detector: TrainableDetector, world: World, step: int) -> None:
+        """Optimises T-U and T-Ma against a detector, and keeps them."""
+        for family in range(len(_ROUND_ATTACKS)):
+            number = family - len(ATTACKS) * step  # below zero, apart from the others
+            _, camouflage, _ = self._fresh(number)
+            settings = replace(_ROUND, seed=next_seed(self._seed, number))
+            # A stopped hardening repeats the round, because its weights may differ in the last bit.
+            with TemporaryDirectory() as folder:
+                attack(camouflage, [detector], world, settings, folder)
+            self._keep(number, camouflage)
+
+    def _keep(self, number: int, camouflage: Camouflage) -> None:
+        kept = copy.deepcopy(camouflage).requires_grad_(False)
+        self._kept = [*self._kept, (number, kept)][-_KEPT:]
 
     def state_dict(self) -> dict[str, Any]:
         """See `LoopPart`."""
