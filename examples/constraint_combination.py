@@ -1,6 +1,6 @@
 """Optimises blocks of about 15 cm in five colours of the ground, on painted parts only.
 
-The attack runs against all detectors of the demo.
+The attack runs against the detector of the demo.
 """
 
 from pathlib import Path

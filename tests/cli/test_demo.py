@@ -313,6 +313,7 @@ def test_the_first_figure_shows_the_attack_before_and_after_hardening(demo: Path
     assert re.search("Before hardening, T-U hid [−0-9]+", page)
     # What was done already is not advised again.
     assert "Harden the detectors as described below" not in page
+    assert "skyproof harden" not in page
     first = (demo / "report.html").read_text()
     assert "<h1>After hardening" not in first
     figure = first[first.index('<figure class="show">') : first.index("</figure>")]
@@ -324,6 +325,26 @@ def test_the_first_figure_shows_the_attack_before_and_after_hardening(demo: Path
         if (row["camouflage"], row["match"]) == ("T-U", "centre_1m")
     )
     assert told["rates"]["T-U"]["frozen"]["hidden"][0] == pytest.approx(row["easr"])
+
+
+def test_two_detectors_are_attacked_together_and_told_apart(
+    tmp_path: Path, suites: None, skyproof: Skyproof
+) -> None:
+    out = tmp_path / "run"
+    with tiny_suite(SHORT_SUITE):
+        answer = skyproof(*TINY, "faster_rcnn", "--out", out)
+    assert answer.code == 0, answer.err
+    rows = json.loads((out / "results.json").read_text())["rows"]
+    of_one = {
+        row["detector"]: row["easr"]
+        for row in rows
+        if (row["camouflage"], row["match"]) == ("T-U", "centre_1m")
+    }
+    assert of_one.keys() == {"retinanet", "faster_rcnn", "mean"}
+    assert of_one["mean"] == pytest.approx((of_one["retinanet"] + of_one["faster_rcnn"]) / 2)
+    record = json.loads((out / "camouflages/T-U/camouflage.json").read_text())
+    assert record["attack"]["detectors"].keys() == {"retinanet", "faster_rcnn"}
+    assert "are the detectors worth attacking?" in (out / "report.html").read_text()
 
 
 def test_a_finished_demo_is_not_done_again(demo: Path, suites: None) -> None:

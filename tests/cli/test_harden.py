@@ -79,6 +79,7 @@ def test_a_detector_is_hardened_and_can_be_assessed(
         assert small.size == (min(400, whole.width), min(400, whole.height))
         difference = np.asarray(whole.resize(small.size), float) - np.asarray(small, float)
     assert np.abs(difference).mean() < 8
+    assert "draws other scenes than this run" not in answer.out
     (told,) = re.findall(r"Assess it anew: skyproof (.*)", answer.out)
     command, *words = shlex.split(told)
     request = tyro.cli(load_command(command), args=words, console_outputs=False)
@@ -114,6 +115,21 @@ def test_with_labels_as_much_of_the_trained_weights_stays_as_their_ap_allows(
     assert answer.code == 0, answer.err
     card = load_detector(assessed.parent / "hard/detectors/retinanet").card
     assert card.training["identity"]["shares"] == [1.0, 0.75, 0.5, 0.25]
+
+
+def test_the_run_itself_is_no_place_for_the_result(assessed: Path, skyproof: Skyproof) -> None:
+    before = bytes_of(assessed)
+    skyproof("harden", assessed, "--out", assessed).refused("--out expects another folder")
+    assert bytes_of(assessed) == before
+
+
+def test_after_another_suite_both_are_to_be_assessed(assessed: Path, skyproof: Skyproof) -> None:
+    config = json.loads((assessed / "config.json").read_text())
+    suite = {**config["suite"], "sha256": "0" * 64}
+    write_json(assessed / "config.json", {**config, "suite": suite})
+    answer = skyproof("harden", assessed, "--out", assessed.parent / "hard", "--steps", 1)
+    assert answer.code == 0, answer.err
+    assert "draws other scenes than this run" in answer.out
 
 
 @pytest.mark.parametrize("changes", [{"suite": None}, {"names": ["retinanet", "faster_rcnn"]}])

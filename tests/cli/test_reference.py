@@ -76,6 +76,7 @@ def _changed(path: Path) -> None:
     data.tofile(path)
 
 
+@pytest.mark.parametrize("name", ["retinanet", "retinanet_hardened"])
 @pytest.mark.parametrize(
     ("harm", "told"),
     [
@@ -87,9 +88,14 @@ def _changed(path: Path) -> None:
     ],
 )
 def test_damaged_or_of_another_version_is_one_sentence(
-    elsewhere: Path, tmp_path: Path, skyproof: Skyproof, harm: Callable[[Path], None], told: str
+    elsewhere: Path,
+    tmp_path: Path,
+    skyproof: Skyproof,
+    harm: Callable[[Path], None],
+    told: str,
+    name: str,
 ) -> None:
-    harm(elsewhere / "retinanet" / "weights.safetensors")
+    harm(elsewhere / name / "weights.safetensors")
     out = tmp_path / "run"
     skyproof("demo", "--out", out, "--device", "cpu").refused(told, "install skyproof again")
     assert not (out / "detectors").exists()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from pathlib import Path
 from typing import Any
@@ -180,25 +181,34 @@ def test_rounds_attack_the_averaged_weights_and_keep_the_textures(
     rendered: RenderedWorld, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made: list[hardening._Worn] = []
-    averaged: list[TrainableDetector] = []
+    attacked: list[TrainableDetector] = []
+    weights: list[torch.Tensor] = []  # before each step
+    usual = hardening.add_gradients
+
+    def of(detector: TrainableDetector) -> torch.Tensor:
+        return next(detector.parameters()).detach().clone()
+
+    def remember(detector: TrainableDetector, batches: Any) -> Any:
+        weights.append(of(detector))
+        return usual(detector, batches)
 
     class Remembered(hardening._Worn):
         def attack(self, detector: TrainableDetector, world: World, step: int) -> None:
             super().attack(detector, world, step)
             made.append(self)
-            averaged.append(detector)
-            assert step == 8
+            attacked.append(copy.deepcopy(detector))
 
     monkeypatch.setattr(hardening, "_Worn", Remembered)
+    monkeypatch.setattr(hardening, "add_gradients", remember)
     monkeypatch.setattr(hardening, "_LIFE_STEPS", 80)
     monkeypatch.setattr(hardening, "_ROUND", dataclasses.replace(hardening._ROUND, steps=40))
-    still = dataclasses.replace(SETTINGS, steps=9, learning_rate=1e-9)
-    detector, _ = run(rendered, tmp_path / "out", settings=still)
-    (worn,), (follower,) = made, averaged
-    assert not any(
-        left is right
-        for left, right in zip(follower.parameters(), detector.parameters(), strict=True)
-    )
+    run(rendered, tmp_path / "out", settings=dataclasses.replace(SETTINGS, steps=9))
+    (worn,), (detector,) = made, attacked
+    average = weights[0]
+    for count, now in enumerate(weights[1:], 1):
+        average = average.lerp(now, 1 - count / (count + 10))
+    assert len(weights) == 9
+    torch.testing.assert_close(of(detector), average)
     assert [str(kept.name) for _, kept in worn._kept] == ["T-U", "T-Ma"]
     for number, kept in worn._kept:
         _, start, _ = worn._fresh(number)
@@ -216,8 +226,9 @@ def loss_of(rendered: RenderedWorld, detector: TrainableDetector, worn: Camoufla
 
 
 def test_an_imported_detector_is_hardened_and_stays_imported(
-    rendered: RenderedWorld, tmp_path: Path
+    rendered: RenderedWorld, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(hardening, "_ROUND_STEPS", 1)
     architecture = "fasterrcnn_mobilenet_v3_large_fpn"
     plan = Blueprint("torchvision", architecture, ["0", "1", "2"], [1, 2], 1.0, None, "x.pth", "0")
     torch.manual_seed(0)

@@ -110,7 +110,7 @@ def test_a_hardened_detector_stands_beside_its_parent(of_one, tmp_path, monkeypa
     assert re.findall(r"<td>(.*?)<br>", row)[:2] == [percent(hidden), percent(later["easr"])]
     assert "Hardening showed it T-U and T-Ma; all other attacks were held out." in page
     assert f"from its parent {percent(hidden)} (T-U)" in page
-    assert "There, surely fewer vehicles than before are hidden by T-U." in page
+    assert "There, T-U surely hides fewer vehicles than before." in page
     # The same detector again has gained nothing.
     write_json(folder / PARENT_FILE, to_builtins(as_parent(Results.open(after), ["T-U"], "0" * 64)))
     assert (

@@ -1,6 +1,7 @@
 """Meshes in several formats, and what is wrong with them: a stated repair or one sentence."""
 
 import json
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -165,6 +166,15 @@ def test_a_missing_texture_and_missing_uvs_are_logged(tmp_path: Path) -> None:
     assert all(material.picture is None for material in mesh.materials)
     assert all(material.plain for material in mesh.materials)
     assert np.isfinite(mesh.look(np.array([0]), np.full((1, 3), 1 / 3))[0]).all()
+
+
+@pytest.mark.parametrize("far", [1e19, 1e30, -1e300, math.inf, math.nan])
+def test_coordinates_far_outside_a_picture_are_read_inside_it(tmp_path: Path, far: float) -> None:
+    mesh = read_mesh(write_obj(tmp_path / "one"))
+    mesh.uvs[0, :, 1] = far
+    colours, alpha = mesh.look(np.array([0]), np.full((1, 3), 1 / 3))
+    assert colours.shape == (1, 3)
+    assert alpha.shape == (1,)
 
 
 def test_a_missing_material_file_is_noted_and_its_names_are_kept(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from skyproof.assessment.command import Request
 from skyproof.assessment.suite import DEMO_SUITE
 from skyproof.console import say
 from skyproof.detectors.card import PARENT_FILE, read_card
-from skyproof.detectors.loaded import copy_detector
+from skyproof.detectors.loaded import copy_detector, load_detector
 from skyproof.documents import read_document
 from skyproof.files import finished_folder, write_json
 from skyproof.layout import Layout
@@ -21,6 +21,7 @@ from skyproof.results.results import Results
 
 def run_demo(request: Request, hardened: Path) -> None:
     """Assesses a detector, and then `hardened` beside it."""
+    load_detector(hardened)
     run_assessment(request, DEMO_SUITE)
     folder = Layout(request.out / "hardening").detector(read_card(hardened).name)
     if not folder.exists():

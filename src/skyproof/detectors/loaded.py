@@ -169,10 +169,10 @@ def copy_with_threshold(
 ) -> str:
     """Copies a detector with a threshold frozen on labelled images; returns a sentence on it."""
     with finished_folder(out) as partial:
+        copy_detector(detector_folder(folder), partial)
         (detector,) = load_ensemble([folder], device, read_card(folder).gsd_m)
-        images = Dataset.joined(list(labelled.values()))
         remedy = "give other frames, or train it longer or on more images"
-        frozen = frozen_card(detector, images, remedy)
+        frozen = frozen_card(detector, Dataset.joined(list(labelled.values())), remedy)
         how = f"the middle of those within a point of the best F1 on {', '.join(labelled)}"
         card = replace(
             detector.card,
@@ -181,6 +181,5 @@ def copy_with_threshold(
             validation=frozen.validation,
             validation_vehicles=frozen.validation_vehicles,
         )
-        copy_detector(detector_folder(folder), partial)
         write_card(partial / "detector.json", card)
     return f"Threshold {card.threshold:.3f} instead of {detector.threshold:.3f}: {how}."

@@ -60,6 +60,8 @@ def harden_run(request: Harden) -> None:
         raise ConfigurationError(
             f"{layout.folder} is not finished; give its command of skyproof assess again first."
         )
+    if out.folder.resolve() == layout.folder.resolve():
+        raise ConfigurationError(f"--out expects another folder than {layout.folder}.")
     results = Results.open(layout.folder)
     if not card.trainable:
         names = strongest(results)
@@ -103,7 +105,10 @@ def harden_run(request: Harden) -> None:
     )
     say(f"Assess it anew: {_assess(config, folder)}")
     if config["suite"].get("sha256") != file_digest(SUITE):
-        say("  note: that command has other scenes than this run; assess its parent by it, too.")
+        say(
+            "  note: that command draws other scenes than this run. Assess the detector before "
+            "hardening with it, too, or the two cannot be compared."
+        )
 
 
 def _photographs(

@@ -112,8 +112,6 @@ def refuse_other_images(request: Harden, card: DetectorCard, names: list[str]) -
             f"{card.name} cannot be trained here, and images are rendered for its own training; "
             "leave out --data and --steps."
         )
-    if out.folder.resolve() == layout.folder.resolve():
-        raise ConfigurationError(f"--out expects another folder than {layout.folder}.")
     wanted = {
         "results_sha256": file_digest(layout.results),
         "camouflages": names,

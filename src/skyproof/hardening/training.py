@@ -35,7 +35,9 @@ ATTACKS = ("T-U", "T-Ma", "T-Pix")
 _ALIVE, _LIFE_STEPS = 4, 80
 # After so many steps, the averaged weights are attacked from nothing, as an assessment does.
 _ROUND_STEPS, _ROUND_ATTACKS = 250, ATTACKS[:2]
-_ROUND = AttackSettings(steps=150, batch_size=4, learning_rate=0.05, balance_batches=2)
+_ROUND = AttackSettings(
+    steps=150, batch_size=4, learning_rate=0.05, balance_batches=2, checkpoint_every=150
+)
 # Camouflages that are kept, and the share of steps that show one, so that none is forgotten.
 _KEPT, _KEPT_SHARE = 12, 0.3
 _CLIMB = AttackSettings(learning_rate=0.1)
@@ -69,9 +71,9 @@ def harden(
     and return likewise. They are stronger than camouflages of 80 steps.
 
     The result mixes the parent's weights with the averaged ones of the last step: the largest share
-    of these that costs at most 1 point of AP on the validation images. Scores on images without
-    camouflage choose no step, because they say nothing about robustness. A stopped hardening
-    continues, and raises errors, as `train` does.
+    of these that costs at most 1 point of AP on the validation images, else the smallest. Scores on
+    images without camouflage choose no step, because they say nothing about robustness. A stopped
+    hardening continues, and raises errors, as `train` does.
 
     Args:
         detector: a detector with its card, on the device to work on.
@@ -79,7 +81,7 @@ def harden(
         photographs: labelled images, apart from those of any test.
         validation: labelled images to freeze the threshold on.
         settings: steps, images per step and learning rate.
-        shares: shares of the trained weights to try, the largest first; the last needs no AP.
+        shares: shares of the trained weights to try, the largest first; the last at any cost.
         folder: detector folder to write.
     """
     parent = detector.card

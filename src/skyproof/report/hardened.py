@@ -126,7 +126,7 @@ def _changed(
         f"{where} it finds {percent(found[place][1])} of the vehicles without camouflage, its "
         f"parent {percent(found[place][0])}. Of these, the strongest attack hides "
         f"{percent(after[0])} ({after[1]}), from its parent {percent(before[0])} ({before[1]}).",
-        f"There, surely fewer vehicles than before are hidden by {listed(fewer)}."
+        f"There, {listed(fewer)} surely hide{'s' * (len(fewer) == 1)} fewer vehicles than before."
         if fewer
         else "There, no attack surely hides fewer vehicles than before: hardening did not help, "
         "had too few steps, or the test is too small to tell.",

@@ -136,9 +136,8 @@ def _write(
     exhibits = [] if few else _exhibits([row for row in every if row not in in_full])
     precheck = precheck_part(results)
     baselines = baseline_sets(results)
-    hardened = hardening(results, every)
     beside = beside_parent(results)
-    advised = hardened is not None and beside is None
+    advised = None if beside else hardening(results, every)
     page = templates("skyproof.report").get_template("report.html.j2")
     html = page.render(
         results=results,
@@ -161,13 +160,13 @@ def _write(
         points=_points(results),
         alarms=alarms_in_words(results.points),
         beside=beside,
-        opening=opening(every, acceptance, precheck, baselines, hardened=advised),
+        opening=opening(every, acceptance, precheck, baselines, hardened=advised is not None),
         strongest=str(strongest.camouflage) if strongest else "",
         example=next(iter(contents.pairs(strongest, 1)), None) if strongest else None,
         more=more,
         training=contents.training(),
         advice=advice(results.by_detector(every[0])) if every else [],
-        hardening=hardened,
+        hardening=advised,
         limits=limits(results, every),
         settings=_flat_settings(_settings(results)),
     )

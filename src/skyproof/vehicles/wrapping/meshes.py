@@ -84,7 +84,8 @@ def _sample(
 ) -> Float[np.ndarray, "N C"]:
     """Samples bilinearly between texel centres; the picture repeats."""
     height, width = picture.shape[:2]
-    places = (1 - uv[:, 1]) * height - 0.5, uv[:, 0] * width - 0.5
+    # Beyond 64 bits, map_coordinates would read outside the picture.
+    places = np.mod((1 - uv[:, 1]) * height - 0.5, height), np.mod(uv[:, 0] * width - 0.5, width)
     channels = np.moveaxis(picture, 2, 0)
     read = [map_coordinates(each, places, float, order=1, mode="grid-wrap") for each in channels]
     return np.stack(read, axis=-1)
