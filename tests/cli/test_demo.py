@@ -314,6 +314,9 @@ def test_the_first_figure_shows_the_attack_before_and_after_hardening(demo: Path
     # What was done already is not advised again.
     assert "Harden the detectors as described below" not in page
     assert "skyproof harden" not in page
+    # The best pattern is compared, too, but is no attack.
+    assert "<td>best pattern, R-U_pattern</td>" in page
+    assert re.search(r"the strongest attack hides [−0-9]+ % \(T-U\), from its parent", page)
     first = (demo / "report.html").read_text()
     assert "<h1>After hardening" not in first
     figure = first[first.index('<figure class="show">') : first.index("</figure>")]

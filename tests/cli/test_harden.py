@@ -61,8 +61,10 @@ def test_a_detector_is_hardened_and_can_be_assessed(
     wanted = {
         row["camouflage"]: row["easr"]
         for row in rows
-        if row["match"] == "centre_1m" and not row["camouflage"].startswith("R-")
+        if row["match"] == "centre_1m"
+        if not row["camouflage"].startswith("R-") or row["camouflage"].endswith("_pattern")
     }
+    assert wanted.keys() == {"T-U", "T-PixFcMa", "R-U_pattern", "R-Ma_pattern"}
     assert {name: own["frozen"]["hidden"][0] for name, own in kept["rates"].items()} == wanted
     scores = finished / "scores/test-0/pairs"
     (pair,) = [

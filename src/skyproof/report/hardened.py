@@ -14,13 +14,12 @@ from skyproof.files import file_digest, inside
 from skyproof.layout import Layout
 from skyproof.report.figures import embedded
 from skyproof.results.operating_points import EQUAL_ALARMS
-from skyproof.results.result import FROZEN
+from skyproof.results.result import FROZEN, MAIN_MATCH
 from skyproof.results.results import RENDERER, Results
 from skyproof.results.statistics.intervals import Interval
 from skyproof.results.stored import Finite, Label
 from skyproof.words import listed, percent
 
-_PICTURE_PX = 400
 _REMEDY = "copy the whole folder again, or harden the detector again"
 
 _Jpeg = Annotated[str, Meta(max_length=10**6, pattern="^data:image/jpeg;base64,[A-Za-z0-9+/=]+$")]
@@ -93,7 +92,7 @@ def beside_parent(results: Results) -> Beside | None:
     attacks = [name for name in new if name in old]
     every = [of_one[name] for of_one in (old, new) for name in attacks]
     points = [point for point in (FROZEN, *EQUAL_ALARMS) if all(point in one for one in every)]
-    if not attacks or not points:
+    if all(name.startswith("R-") for name in attacks) or not points:
         return None
     hidden = {
         name: [(_interval(old[name][p].hidden), _interval(new[name][p].hidden)) for p in points]
@@ -105,8 +104,7 @@ def beside_parent(results: Results) -> Beside | None:
     both = {name: (_interval(parent.ap[name]), _interval(ap[name])) for name in shared}
     own = first_pictures(results, [name for name in attacks if name in parent.pictures])
     pictures = {name: (parent.pictures[name], picture) for name, picture in own.items()}
-    sentences = [*_changed(points, found, hidden), shown]
-    return Beside(sentences, points, found, hidden, both, pictures)
+    return Beside([*_changed(points, found, hidden), shown], points, found, hidden, both, pictures)
 
 
 def _changed(
@@ -118,7 +116,7 @@ def _changed(
     place = min(1, len(points) - 1)
     rate = EQUAL_ALARMS.get(points[place])
     where = f"At {rate} false alarms per km² of empty ground" if rate else "At its own threshold"
-    rates = [(name, *pairs[place]) for name, pairs in hidden.items()]
+    rates = [(name, *pairs[place]) for name, pairs in hidden.items() if name[:2] != "R-"]
     before = max((old.estimate, name) for name, old, _ in rates)
     after = max((new.estimate, name) for name, _, new in rates)
     fewer = [name for name, old, new in rates if old.minus(new).low > 0]
@@ -134,14 +132,16 @@ def _changed(
 
 
 def _known_rates(results: Results) -> tuple[dict[str, dict[str, _Rate]], dict[str, _Limits]]:
-    """The rates of each attack at each operating point, and the AP of each set of images."""
+    """Rates of attacks and best patterns at each operating point, and AP on each set of images."""
     rates: dict[str, dict[str, _Rate]] = {}
-    for row in results.quoted:
-        other = row.renderer != RENDERER or row.camouflage.kept_copy
+    for row in results.rows:
+        name = row.camouflage
+        other = (row.renderer, row.match) != (RENDERER, MAIN_MATCH) or name.kept_copy
+        other |= name.random and name.choice != "pattern"
         for point in () if other else (FROZEN, *EQUAL_ALARMS):
             one = results.at(row, point)
             if one is not None and not math.isnan(one.found_before):
-                own = rates.setdefault(str(row.camouflage), {})
+                own = rates.setdefault(str(name), {})
                 own[point] = _Rate(one.found_before, _limits(one.easr))
     ap = {one.dataset: _limits(one.ap_centre_1m) for one in results.baselines if one.vehicles}
     return rates, ap
@@ -157,7 +157,7 @@ def first_pictures(results: Results, attacks: Iterable[str]) -> dict[str, str]:
         name: embedded(
             inside(folder, pair.adversarial, folder / "pairs.json"),
             lossless=False,
-            largest_px=_PICTURE_PX,
+            largest_px=400,
         )
         for name, every in first.items()
         for folder, pair in every
