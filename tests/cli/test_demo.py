@@ -316,7 +316,7 @@ def test_the_first_figure_shows_the_attack_before_and_after_hardening(demo: Path
     assert "skyproof harden" not in page
     # The best pattern is compared, too, but is no attack.
     assert "<td>best pattern, R-U_pattern</td>" in page
-    assert re.search(r"the strongest attack hides [−0-9]+ % \(T-U\), from its parent", page)
+    assert re.search(r"the strongest attack hides [−0-9]+\s% \(T-U\), from its parent", page)
     first = (demo / "report.html").read_text()
     assert "<h1>After hardening" not in first
     figure = first[first.index('<figure class="show">') : first.index("</figure>")]
@@ -335,7 +335,7 @@ def test_two_detectors_are_attacked_together_and_told_apart(
 ) -> None:
     out = tmp_path / "run"
     with tiny_suite(SHORT_SUITE):
-        answer = skyproof(*TINY, "faster_rcnn", "--out", out)
+        answer = skyproof("assess", "retinanet", "faster_rcnn", "--device", "cpu", "--out", out)
     assert answer.code == 0, answer.err
     rows = json.loads((out / "results.json").read_text())["rows"]
     of_one = {
