@@ -346,7 +346,7 @@ def test_two_detectors_are_attacked_together_and_told_apart(
     assert of_one.keys() == {"retinanet", "faster_rcnn", "mean"}
     assert of_one["mean"] == pytest.approx((of_one["retinanet"] + of_one["faster_rcnn"]) / 2)
     record = json.loads((out / "camouflages/T-U/camouflage.json").read_text())
-    assert record["attack"]["detectors"].keys() == {"retinanet", "faster_rcnn"}
+    assert record["record"]["attack"]["detectors"].keys() == {"retinanet", "faster_rcnn"}
     assert "are the detectors worth attacking?" in (out / "report.html").read_text()
 
 
