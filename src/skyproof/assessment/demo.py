@@ -21,7 +21,7 @@ from skyproof.results.results import Results
 
 def run_demo(request: Request, hardened: Path) -> None:
     """Assesses a detector, and then `hardened` beside it."""
-    load_detector(hardened)
+    load_detector(hardened)  # refuses a damaged one before any work
     run_assessment(request, DEMO_SUITE)
     folder = Layout(request.out / "hardening").detector(read_card(hardened).name)
     if not folder.exists():
