@@ -106,8 +106,8 @@ def harden_run(request: Harden) -> None:
     say(f"Assess it anew: {_assess(config, folder)}")
     if config["suite"].get("sha256") != file_digest(SUITE):
         say(
-            "  note: that command draws other scenes than this run. Assess the detector before "
-            "hardening with it, too, or the two cannot be compared."
+            "  note: that command draws other scenes than this run. Assess the original detector "
+            "with it, too; otherwise the two cannot be compared."
         )
 
 

@@ -176,7 +176,7 @@ class _Worn:
             number = family - len(ATTACKS) * step  # below zero, apart from the others
             _, camouflage, _ = self._fresh(number)
             settings = replace(_ROUND, seed=next_seed(self._seed, number))
-            # A stopped hardening repeats the round, because its weights may differ in the last bit.
+            # After a stop the round starts anew: stored steps fit only weights equal bit for bit.
             with TemporaryDirectory() as folder:
                 attack(camouflage, [detector], world, settings, folder)
             self._keep(number, camouflage)

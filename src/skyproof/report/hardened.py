@@ -89,22 +89,23 @@ def beside_parent(results: Results) -> Beside | None:
         told = "Its parent was assessed on other scenes, so their rates cannot be compared."
         return Beside([told, "Assess both by one command, with the same imagery, labels and seed."])
     old, (new, ap) = parent.rates, _known_rates(results)
-    attacks = [name for name in new if name in old]
-    every = [of_one[name] for of_one in (old, new) for name in attacks]
+    names = [name for name in new if name in old]
+    attacks = [name for name in names if not CamouflageName.read(name).random]
+    every = [of_one[name] for of_one in (old, new) for name in names]
     points = [point for point in (FROZEN, *EQUAL_ALARMS) if all(point in one for one in every)]
-    if all(name.startswith("R-") for name in attacks) or not points:
+    if not attacks or not points:
         return None
     hidden = {
         name: [(_interval(old[name][p].hidden), _interval(new[name][p].hidden)) for p in points]
-        for name in attacks
+        for name in names
     }
     found = [(old[attacks[0]][p].found, new[attacks[0]][p].found) for p in points]
     shown = f"Hardening showed it {listed(parent.attacks)}; all other attacks were held out."
-    shared = [name for name in parent.ap if name in ap]
-    both = {name: (_interval(parent.ap[name]), _interval(ap[name])) for name in shared}
-    own = first_pictures(results, [name for name in attacks if name in parent.pictures])
+    aps = {key: (_interval(was), _interval(ap[key])) for key, was in parent.ap.items() if key in ap}
+    own = first_pictures(results, [name for name in names if name in parent.pictures])
     pictures = {name: (parent.pictures[name], picture) for name, picture in own.items()}
-    return Beside([*_changed(points, found, hidden), shown], points, found, hidden, both, pictures)
+    changed = _changed(points, found, {name: hidden[name] for name in attacks})
+    return Beside([*changed, shown], points, found, hidden, aps, pictures)
 
 
 def _changed(
@@ -116,7 +117,7 @@ def _changed(
     place = min(1, len(points) - 1)
     rate = EQUAL_ALARMS.get(points[place])
     where = f"At {rate} false alarms per km² of empty ground" if rate else "At its own threshold"
-    rates = [(name, *pairs[place]) for name, pairs in hidden.items() if name[:2] != "R-"]
+    rates = [(name, *pairs[place]) for name, pairs in hidden.items()]
     before = max((old.estimate, name) for name, old, _ in rates)
     after = max((new.estimate, name) for name, _, new in rates)
     fewer = [name for name, old, new in rates if old.minus(new).low > 0]
@@ -141,8 +142,7 @@ def _known_rates(results: Results) -> tuple[dict[str, dict[str, _Rate]], dict[st
         for point in () if other else (FROZEN, *EQUAL_ALARMS):
             one = results.at(row, point)
             if one is not None and not math.isnan(one.found_before):
-                own = rates.setdefault(str(name), {})
-                own[point] = _Rate(one.found_before, _limits(one.easr))
+                rates.setdefault(str(name), {})[point] = _Rate(one.found_before, _limits(one.easr))
     ap = {one.dataset: _limits(one.ap_centre_1m) for one in results.baselines if one.vehicles}
     return rates, ap
 
