@@ -48,6 +48,23 @@ _PYRAMID = {
     "encoder_in_channels": [32, 32, 64],
     "decoder_in_channels": [32, 32, 32],
 }
+_GROUPS = {
+    "d_model": 32,
+    "decoder_ffn_dim": 64,
+    "decoder_layers": 2,
+    "decoder_n_points": 2,
+    "decoder_self_attention_heads": 2,
+    "decoder_cross_attention_heads": 4,
+    "group_detr": 2,
+    "num_queries": 30,
+}
+_TRANSFORMER = {
+    "hidden_size": 32,
+    "num_hidden_layers": 4,
+    "num_attention_heads": 2,
+    "patch_size": 16,
+    "out_indices": [2, 4],
+}
 _ONE_LEVEL = {**_RESNET, "model_type": "resnet", "out_features": ["stage4"]}
 _LEVELS = {**_RESNET, "model_type": "resnet", "out_features": _STAGES}
 # The class of the network, its settings, and those of its backbone.
@@ -74,11 +91,50 @@ FAMILIES: dict[str, tuple[str, dict[str, Any], dict[str, Any]]] = {
         {**_HEAD, "encoder_layers": 1, "num_feature_levels": 3},
         _LEVELS,
     ),
+    "deimv2": (
+        "Deimv2",
+        {**_PYRAMID, "decoder_n_points": [2, 2, 2]},
+        {**_HGNET, "model_type": "hgnet_v2", "out_features": _STAGES},
+    ),
+    "deimv2 on dinov3_vit": (
+        "Deimv2",
+        {
+            **_PYRAMID,
+            "decoder_n_points": [2, 2, 2],
+            "encoder_in_channels": [32, 32, 32],
+            "spatial_tuning_adapter_inplanes": 8,
+        },
+        {**_TRANSFORMER, "model_type": "dinov3_vit", "out_indices": [2, 3, 4]},
+    ),
+    "lw_detr": (
+        "LwDetr",
+        {**_GROUPS, "projector_scale_factors": [2.0, 0.5]},
+        {
+            **_TRANSFORMER,
+            "model_type": "lw_detr_vit",
+            "image_size": SIDE_PX,
+            "window_block_indices": [0, 2],
+            "num_windows": 4,
+        },
+    ),
+    "rf_detr": (
+        "RfDetr",
+        _GROUPS,
+        {
+            **_TRANSFORMER,
+            "model_type": "rf_detr_dinov2",
+            # Heads of 64 numbers, as in all DINOv2.
+            "hidden_size": 64,
+            "num_attention_heads": 1,
+            "image_size": SIDE_PX,
+            "num_windows": 2,
+        },
+    ),
 }
 
 
 def write_folder(
-    folder: Path, family: str, classes: list[str] = CLASSES, *, fresh: bool = False
+    folder: Path, family: str, classes: list[str] = CLASSES, *, fresh: bool = False, **fields: Any
 ) -> Any:
     """Writes a folder with random weights, and returns the library's own network."""
     import transformers
@@ -87,7 +143,7 @@ def write_folder(
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
         configuration = getattr(transformers, f"{name}Config")(
-            **settings,
+            **settings | fields,
             backbone_config=backbone,
             use_timm_backbone=False,
             id2label=dict(enumerate(classes)),
@@ -99,11 +155,14 @@ def write_folder(
             for part, parameter in () if fresh else network.named_parameters():
                 if "query_position_embeddings" in part:
                     parameter.normal_(std=3.0)
-                elif "class" in part and part.endswith("weight"):
-                    parameter.normal_(std=0.3)
+                elif "class" in part:
+                    # Weak answers would be dropped.
+                    parameter.normal_(std=0.3) if parameter.ndim > 1 else parameter.zero_()
                 elif "bbox" in part and part.endswith("weight"):
-                    parameter.normal_(std=0.15)
-    processor = {"rt_detr_v2": "RTDetr", "d_fine": "RTDetr"}.get(family, name)
+                    # These answer with the logarithm of a factor on a side.
+                    parameter.normal_(std=0.03 if family in ("lw_detr", "rf_detr") else 0.15)
+    others = {"rt_detr_v2": "RTDetr", "d_fine": "RTDetr", "deimv2": "RTDetr"}
+    processor = {**others, "lw_detr": "DeformableDetr"}.get(family.split()[0], name)
     side = {"height": SIDE_PX, "width": SIDE_PX}
     network.save_pretrained(folder)
     getattr(transformers, f"{processor}ImageProcessor")(size=side).save_pretrained(folder)

@@ -1,6 +1,6 @@
 """Assesses a detector of Hugging Face's transformers that skyproof cannot import, such as YOLOS.
 
-Folders of DETR, RT-DETR and D-FINE are assessed with gradients, and need no such program. Install
+Folders of DETR and its relatives are assessed with gradients, and need no such program. Install
 `transformers`. Change the paths, the number of the vehicle class, and TILE: the side of the images
 that the detector usually gets, in pixels. Smaller ones are padded to keep their scale.
 """

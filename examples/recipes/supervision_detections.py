@@ -1,7 +1,8 @@
-"""Assesses RF-DETR, or another detector that answers with supervision's `Detections`.
+"""Assesses a detector that answers with supervision's `Detections`, here RF-DETR as a black box.
 
-Install `rfdetr`. Change its size, the paths, the number of the vehicle class, and TILE: the side of
-the images that the detector usually gets, in pixels. Smaller ones are padded to keep their scale.
+`skyproof assess` takes RF-DETR's checkpoints themselves, and attacks them with gradients. Install
+`rfdetr`. Change its size, the paths, the number of the vehicle class, and TILE: the side of the
+images that the detector usually gets, in pixels. Smaller ones are padded to keep their scale.
 """
 
 from PIL import Image

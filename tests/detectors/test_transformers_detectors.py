@@ -84,7 +84,7 @@ def test_an_empty_truth_costs_what_the_library_says(family: str, tmp_path: Path)
         with torch.no_grad():
             terms = network(pixel_values=seen[None], labels=[truth]).loss_dict
         # DETR averages over its 30 queries.
-        wanted = terms["loss_vfl"] if "loss_vfl" in terms else terms["loss_ce"]
+        wanted = next(terms[name] for name in ("loss_vfl", "loss_mal", "loss_ce") if name in terms)
         torch.testing.assert_close(loss, wanted * (30 if family == "detr" else 1))
 
 
@@ -223,6 +223,26 @@ def test_a_network_that_computes_without_bound_is_refused(tmp_path: Path) -> Non
     backbone = json.loads((tmp_path / "config.json").read_text())["backbone_config"]
     of_network(backbone_config={**backbone, "stem_strides": [1] * 5})(tmp_path)
     with pytest.raises(ConfigurationError, match="finer than every 4 px"):
+        read(tmp_path, "car")
+
+
+@pytest.mark.parametrize(
+    ("family", "fields", "said"),
+    [
+        ("rf_detr", {"num_windows": 100}, "no detector needs patches or windows"),
+        ("rf_detr", {"patch_size": [16, 16]}, "cannot build the network"),
+        ("lw_detr", {"num_windows": 2**16}, "cannot build the network"),
+        ("lw_detr", {"num_windows": 0}, "cannot build the network"),
+        ("deimv2", {"model_type": "rt_detr_resnet"}, "a deimv2 on a rt_detr_resnet"),
+    ],
+)
+def test_bad_backbones_are_one_sentence(
+    family: str, fields: dict[str, Any], said: str, tmp_path: Path
+) -> None:
+    write_folder(tmp_path, family)
+    backbone = json.loads((tmp_path / "config.json").read_text())["backbone_config"]
+    of_network(backbone_config=backbone | fields)(tmp_path)
+    with pytest.raises(ConfigurationError, match=said):
         read(tmp_path, "car")
 
 

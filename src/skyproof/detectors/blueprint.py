@@ -52,7 +52,10 @@ _BACKBONES = ("rt_detr_resnet", "resnet", "hgnet_v2")
 _FAMILIES = {
     # They would ask the hub for a backbone of timm.
     **dict.fromkeys(("rt_detr", "rt_detr_v2", "d_fine"), _BACKBONES),
+    "deimv2": ("hgnet_v2", "dinov3_vit"),
     **dict.fromkeys(("detr", "conditional_detr", "deformable_detr"), (*_BACKBONES, TIMM)),
+    "lw_detr": ("lw_detr_vit",),
+    "rf_detr": ("rf_detr_dinov2",),
 }
 _RESNET = re.compile(r"resnet\d{2,3}d?(\.\w{1,30})?")
 

@@ -1,7 +1,7 @@
 """Turns a checkpoint into a detector folder: weights, vehicle classes, frozen threshold."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,8 +16,9 @@ from skyproof.detectors.card import DetectorCard, require_detector_name
 from skyproof.detectors.checkpoints import StandIn, networks_in, parts_of, read_checkpoint, state_of
 from skyproof.detectors.imported import ImportedDetector, class_rows
 from skyproof.detectors.loaded import save_detector
+from skyproof.detectors.rf_detr_file import is_rf_detr, read_rf_detr
 from skyproof.detectors.transformers_detectors import converted_weights
-from skyproof.detectors.transformers_folder import FOLDER_WEIGHTS, read_folder
+from skyproof.detectors.transformers_folder import FOLDER_FILES, FOLDER_WEIGHTS, read_folder
 from skyproof.detectors.validation import check_validation, frozen_card, validate
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import file_digest, finished_folder, refuse_existing
@@ -50,7 +51,7 @@ class Checkpoint:
     """A checkpoint file, whose code is never run, and the facts needed to read it.
 
     The kind is "torchvision", "ultralytics" or "transformers", whose path is model.safetensors in a
-    folder of `save_pretrained`. Vehicle classes are names, but label numbers for torchvision (COCO:
+    folder of `save_pretrained`, or a file of RF-DETR's trainer. Vehicle classes are names, but label numbers for torchvision (COCO:
     3 car, 6 bus, 8 truck), which also needs `architecture`. `gsd_m` is the resolution that the
     detector was made for; None means that of the images.
     """
@@ -60,6 +61,9 @@ class Checkpoint:
     vehicle_classes: Sequence[str]
     architecture: str | None = None
     gsd_m: float | None = None
+
+
+_Reader = Callable[[Checkpoint, Any, dict[str, Tensor], str], _Plan]
 
 
 def kind_of(path: Path, architecture: str | None) -> Kind:
@@ -149,7 +153,7 @@ def read_blueprint(
 
     `scale` is the number of network pixels per image pixel.
     """
-    readers = {
+    readers: dict[str, _Reader] = {
         "torchvision": _torchvision,
         "ultralytics": read_ultralytics,
         "transformers": _transformers,
@@ -177,6 +181,10 @@ def read_blueprint(
             f"{checkpoint.path} holds weights that are not finite ({broken[:100]}); give a "
             "checkpoint from before its training broke."
         )
+    kind = checkpoint.kind
+    in_folder = kind == "transformers" and checkpoint.path.with_name(FOLDER_FILES[0]).is_file()
+    if kind != "torchvision" and not in_folder and is_rf_detr(state):
+        kind, read, network = "transformers", _rf_detr, content
     digest = file_digest(checkpoint.path)
     tensors = len(state)
     architecture, classes, vehicles, eps, side_px = read(checkpoint, network, state, digest)
@@ -184,10 +192,10 @@ def read_blueprint(
     known = type(side_px) is int and 32 <= side_px <= 4096
     # torchgeo stopped normalising in its release 0.8, and checkpoints do not note the release.
     of_torchgeo = {"backbone", "freeze_backbone"} <= _noted(content, "hyper_parameters").keys()
-    named = checkpoint.path.parent if checkpoint.kind == "transformers" else checkpoint.path
+    named = checkpoint.path.parent if in_folder else checkpoint.path
     rest = (named.name, digest, side_px if known else None, None if of_torchgeo else True)
-    plan = Blueprint(checkpoint.kind, architecture, classes, vehicles, scale, eps, *rest)
-    origin = f"{checkpoint.kind} checkpoint {named.name}"
+    plan = Blueprint(kind, architecture, classes, vehicles, scale, eps, *rest)
+    origin = f"{kind} checkpoint {named.name}"
     taken, *others = [repr(place[:100]) for place in places] or [""]
     if others:
         origin += f", the weights at {taken}, not those at {listed(others[:3])}"
@@ -245,9 +253,25 @@ def _torchvision(
 def _transformers(
     checkpoint: Checkpoint, network: Any, state: dict[str, Tensor], digest: str
 ) -> _Plan:
-    architecture, classes, side_px = read_folder(checkpoint.path)
+    read = read_folder(checkpoint.path)
+    return _of_transformers(checkpoint, state, "its config.json", *read)
+
+
+def _rf_detr(checkpoint: Checkpoint, content: Any, state: dict[str, Tensor], digest: str) -> _Plan:
+    read = read_rf_detr(checkpoint.path, content, state)
+    return _of_transformers(checkpoint, state, "the settings in it", *read)
+
+
+def _of_transformers(
+    checkpoint: Checkpoint,
+    state: dict[str, Tensor],
+    source: str,
+    architecture: dict[str, Any],
+    classes: list[str],
+    side_px: int,
+) -> _Plan:
     vehicles = _positions(checkpoint.vehicle_classes, classes)
-    weights = converted_weights(architecture, len(classes), state, checkpoint.path)
+    weights = converted_weights(architecture, len(classes), state, checkpoint.path, source)
     state.clear()
     state.update(weights)
     return architecture, classes, vehicles, None, side_px

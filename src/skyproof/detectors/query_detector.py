@@ -22,9 +22,6 @@ from skyproof.detectors.detector import (
     pad_to_stride,
 )
 
-# Weight of a query without a vehicle in the libraries' focal and varifocal losses.
-_FOCAL_WEIGHT = 0.75
-
 
 @dataclass(frozen=True)
 class Answers:
@@ -44,8 +41,10 @@ class QueryDetector(TrainableDetector):
     model: Any
     suppression_iou = 1.0
     in_windows_alone = True
-    focal_exponent = 2.0
-    """Exponent of a score in the library's loss of a query without a vehicle."""
+    focal_weight, focal_exponent = 0.75, 2.0
+    """Weight and exponent of a score in the library's loss of a query without a vehicle."""
+    stride_px = 32
+    """Sides of the network's images are multiples of it."""
     colours: tuple[Sequence[float], Sequence[float]] = ((0.0,) * 3, (1.0,) * 3)
     """Mean and deviation by which the network's images are normalised."""
 
@@ -120,7 +119,7 @@ class QueryDetector(TrainableDetector):
             others = [each for each in range(logits.shape[-1]) if each not in self.vehicle_classes]
             odds = vehicles.logsumexp(dim=-1) - logits[..., others].logsumexp(dim=-1)
             return functional.softplus(odds).sum(dim=-1)
-        weight = _FOCAL_WEIGHT * vehicles.sigmoid() ** self.focal_exponent
+        weight = self.focal_weight * vehicles.sigmoid() ** self.focal_exponent
         return (weight * functional.softplus(vehicles)).sum(dim=(1, 2))
 
     @torch.no_grad()
@@ -136,6 +135,6 @@ class QueryDetector(TrainableDetector):
     def _seen(self, images: Images) -> tuple[Tensor, Tensor]:
         """Pads right and below to the side in training, and normalises; also returns the sides."""
         check_images(images)
-        padded = pad_to_stride(images, PADDING_GREY, least_px=self.side_px)
+        padded = pad_to_stride(images, PADDING_GREY, self.stride_px, self.side_px)
         sides = images.new_tensor([padded.shape[-1], padded.shape[-2]] * 2)
         return normalize(padded, *self.colours), sides

@@ -5,6 +5,7 @@ without a connection: only the families that `blueprint` lists, and only from th
 configurations declare.
 """
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,6 +21,9 @@ from skyproof.detectors.query_detector import Answers, QueryDetector
 from skyproof.detectors.transformers_folder import REMEDY
 from skyproof.errors import ConfigurationError
 
+# Published networks need at most 360 px for as many patches as queries.
+_LARGEST_BLANK_PX = 1024
+
 
 class TransformersNetwork(QueryDetector):
     """A DETR, RT-DETR or relative. For training, the library cuts gradients between its parts."""
@@ -31,10 +35,23 @@ class TransformersNetwork(QueryDetector):
         with _offline():
             configuration, kind = _configured(plan, self.classes)
             self.model = kind(configuration).eval()
+            least_px = SIDE_PX
+            if configuration.model_type in ("lw_detr", "rf_detr"):
+                backbone = configuration.backbone_config
+                windows = getattr(backbone, "num_windows_side", backbone.num_windows)
+                # Attention is within windows, and each query stems from a patch of its own.
+                self.stride_px, self.focal_weight = windows * backbone.patch_size, 1.0
+                least_px = max(SIDE_PX, backbone.patch_size * math.sqrt(configuration.num_queries))
+            elif configuration.model_type == "deimv2":
+                self.focal_weight = configuration.mal_alpha or 1.0
+                self.focal_exponent = configuration.focal_loss_gamma
             # Not all families can be measured without memory for their numbers.
-            blank = torch.zeros(1, 3, SIDE_PX, SIDE_PX)
+            side = math.ceil(least_px / self.stride_px) * self.stride_px
+            if side > _LARGEST_BLANK_PX:
+                raise ConfigurationError("no detector needs patches or windows so large.")
+            blank = torch.zeros(1, 3, side, side)
             with torch.no_grad(), Meter():
-                if self.features(blank)[0].shape[-1] > SIDE_PX // 4:
+                if self.features(blank)[0].shape[-1] > side // 4:
                     raise ConfigurationError("no detector needs features finer than every 4 px.")
                 self.model(pixel_values=blank)
         # Some families hold a layer under two names, which one file cannot.
@@ -52,8 +69,13 @@ class TransformersNetwork(QueryDetector):
         return loss
 
     def features(self, seen: Tensor) -> list[Tensor]:
-        whole = seen.new_ones(seen[:, 0].shape)
-        return [features for features, _ in self.model.model.backbone(seen, whole)]
+        parts = self.model.model
+        if hasattr(parts, "conv_encoder"):
+            levels: list[Tensor] = parts.conv_encoder(seen)
+            return levels
+        found = parts.backbone(seen, seen.new_ones(seen[:, 0].shape))
+        # RF-DETR answers with one level and its mask, others with a list of such pairs.
+        return [features for features, _ in ([found] if isinstance(found, tuple) else found)]
 
 
 class _WholeGradient(TorchFunctionMode):
@@ -64,9 +86,15 @@ class _WholeGradient(TorchFunctionMode):
 
 
 def converted_weights(
-    architecture: Mapping[str, Any], classes: int, state: Mapping[str, Tensor], path: Path
+    architecture: Mapping[str, Any],
+    classes: int,
+    state: Mapping[str, Tensor],
+    path: Path,
+    source: str,
 ) -> dict[str, Tensor]:
     """Returns a file's weights under the names of the network; the library renames older ones.
+
+    `source` says where the architecture stands.
 
     Raises:
         ConfigurationError: tensors are missing, superfluous or of another shape.
@@ -87,8 +115,8 @@ def converted_weights(
     different = sorted({name for name in named if not name.endswith("num_batches_tracked")})
     if different:
         raise ConfigurationError(
-            f"The weights of {path} do not fit its config.json: {len(different)} tensors differ, "
-            f"such as {different[0][:200]}; {REMEDY}."
+            f"The weights of {path} do not fit {source}: {len(different)} tensors differ, such as "
+            f"{different[0][:200]}; {REMEDY}."
         )
     weights: dict[str, Tensor] = network.state_dict()
     _drop_second_names(network, weights, "", {})
