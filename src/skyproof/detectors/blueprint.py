@@ -61,8 +61,9 @@ _RESNET = re.compile(r"resnet\d{2,3}d?(\.\w{1,30})?")
 
 # More than LVIS has: RetinaNet scores each class for 200,000 anchors in an image of 1024 px.
 _MOST_TORCHVISION_CLASSES = 1500
+_OF_TORCHVISION = ("torchvision", "detectron2")
 
-Kind = Literal["torchvision", "ultralytics", "transformers"]
+Kind = Literal["torchvision", "ultralytics", "transformers", "detectron2"]
 """The library whose network a checkpoint holds."""
 
 Classes = Annotated[list[Annotated[str, Meta(max_length=200)]], Meta(max_length=5000)]
@@ -124,17 +125,36 @@ class _Configuration(msgspec.Struct, forbid_unknown_fields=True):
     image_std: _Deviation
 
 
+_Sides = Annotated[list[_Limit], Meta(min_length=1, max_length=10)]
+
+
+class Detectron2Plan(msgspec.Struct, forbid_unknown_fields=True):
+    """A RetinaNet ("one stage") or Faster R-CNN of Detectron2 on a ResNet; colours are RGB of 1.
+
+    `stride_in_1x1` says that a stage's first convolution takes the stride. Anchors are those of
+    each level, or of all; ratios are height by width.
+    """
+
+    one_stage: bool
+    depth: Literal[50, 101]
+    stride_in_1x1: bool
+    image_mean: _Mean
+    image_std: _Deviation
+    anchor_sides_px: Annotated[list[_Sides], Meta(min_length=1, max_length=5)]
+    anchor_ratios: Annotated[list[_Scale], Meta(min_length=1, max_length=10)]
+
+
 @dataclass(frozen=True)
 class Blueprint:
     """The plan of an imported detector's network, without its weights; kept in `detector.json`.
 
     The architecture is a name for torchvision, whose classes are "0", "1", ..., the content of a
-    YAML file for Ultralytics, and the parts of `_Configuration` for transformers. Vehicle classes
-    are positions. `image_scale` is network pixels per image pixel, `norm_eps` the epsilon of the
-    backbone's batch norm, if torchvision's published weights use another one than its layers.
-    `side_px` is the side of the training images in network pixels, if the checkpoint notes it.
-    `normalised` says whether the network expects colours normalised as by torchvision; None if that
-    is not known.
+    YAML file for Ultralytics, the parts of `_Configuration` for transformers, and the fields of
+    `Detectron2Plan`. Vehicle classes are positions. `image_scale` is network pixels per image
+    pixel, `norm_eps` the epsilon of the backbone's batch norm, if torchvision's published weights
+    use another one than its layers. `side_px` is the side of the training images in network pixels,
+    if the checkpoint notes it. `normalised` says whether the network expects colours normalised as
+    by torchvision; None if that is not known.
     """
 
     kind: str
@@ -156,12 +176,14 @@ class Blueprint:
             check_layers(self.architecture)
         elif self.kind == "transformers":
             check_configuration(self.architecture)
+        elif self.kind == "detectron2":
+            detectron2_plan(self.architecture)
         elif self.kind != "torchvision" or self.architecture not in ARCHITECTURES:
             raise ConfigurationError(
                 f"no detector of kind {self.kind[:100]!r} is called "
                 f"{str(self.architecture)[:100]!r}."
             )
-        elif len(self.classes) > _MOST_TORCHVISION_CLASSES:
+        if self.kind in _OF_TORCHVISION and len(self.classes) > _MOST_TORCHVISION_CLASSES:
             raise ConfigurationError(
                 f"a network of torchvision with {len(self.classes):,} classes computes too much, "
                 f"at most {_MOST_TORCHVISION_CLASSES:,} are expected."
@@ -178,6 +200,15 @@ class Blueprint:
         if self.kind != "ultralytics":
             return True
         return not ("anchors" in plan or plan["head"][-1][2] in TURNED)
+
+
+def detectron2_plan(architecture: Any) -> Detectron2Plan:
+    """Reads the plan of a network of Detectron2; refuses one beyond its limits."""
+    what, remedy = "the configuration of Detectron2", "give the detector of a ResNet pyramid"
+    plan: Detectron2Plan = check_document(
+        architecture, Detectron2Plan, what, remedy, error=ConfigurationError
+    )
+    return plan
 
 
 def check_layers(architecture: Any) -> None:

@@ -14,6 +14,7 @@ from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.blueprint import Blueprint, Kind, plain_architecture
 from skyproof.detectors.card import DetectorCard, require_detector_name
 from skyproof.detectors.checkpoints import StandIn, networks_in, parts_of, read_checkpoint, state_of
+from skyproof.detectors.detectron2_file import READABLE, is_detectron2, read_detectron2
 from skyproof.detectors.imported import ImportedDetector, class_rows
 from skyproof.detectors.loaded import save_detector
 from skyproof.detectors.rf_detr_file import is_rf_detr, read_rf_detr
@@ -51,9 +52,9 @@ class Checkpoint:
     """A checkpoint file, whose code is never run, and the facts needed to read it.
 
     The kind is "torchvision", "ultralytics" or "transformers", whose path is model.safetensors in a
-    folder of `save_pretrained`, or a file of RF-DETR's trainer. Vehicle classes are names, but label numbers for torchvision (COCO:
-    3 car, 6 bus, 8 truck), which also needs `architecture`. `gsd_m` is the resolution that the
-    detector was made for; None means that of the images.
+    folder of `save_pretrained`, or a file of RF-DETR's trainer. Vehicle classes are names, but
+    label numbers for torchvision (COCO: 3 car, 6 bus, 8 truck), which also needs `architecture`.
+    `gsd_m` is the resolution that the detector was made for; None means that of the images.
     """
 
     path: Path
@@ -142,7 +143,7 @@ def read_network(
         detector = ImportedDetector(name, blueprint)
     except ConfigurationError as error:
         raise ConfigurationError(f"{checkpoint.path} cannot be imported: {error}") from error
-    _load(detector, state, checkpoint)
+    _load(detector, state, checkpoint, blueprint.kind)
     return detector, blueprint, origin
 
 
@@ -157,6 +158,7 @@ def read_blueprint(
         "torchvision": _torchvision,
         "ultralytics": read_ultralytics,
         "transformers": _transformers,
+        "detectron2": _detectron2,
     }
     read = readers.get(checkpoint.kind)
     if read is None:
@@ -185,6 +187,8 @@ def read_blueprint(
     in_folder = kind == "transformers" and checkpoint.path.with_name(FOLDER_FILES[0]).is_file()
     if kind != "torchvision" and not in_folder and is_rf_detr(state):
         kind, read, network = "transformers", _rf_detr, content
+    elif kind != "torchvision" and is_detectron2(state):
+        kind, read = "detectron2", _detectron2
     digest = file_digest(checkpoint.path)
     tensors = len(state)
     architecture, classes, vehicles, eps, side_px = read(checkpoint, network, state, digest)
@@ -262,6 +266,13 @@ def _rf_detr(checkpoint: Checkpoint, content: Any, state: dict[str, Tensor], dig
     return _of_transformers(checkpoint, state, "the settings in it", *read)
 
 
+def _detectron2(
+    checkpoint: Checkpoint, network: Any, state: dict[str, Tensor], digest: str
+) -> _Plan:
+    architecture, classes, side_px = read_detectron2(checkpoint.path, state)
+    return architecture, classes, _positions(checkpoint.vehicle_classes, classes), None, side_px
+
+
 def _of_transformers(
     checkpoint: Checkpoint,
     state: dict[str, Tensor],
@@ -277,7 +288,9 @@ def _of_transformers(
     return architecture, classes, vehicles, None, side_px
 
 
-def _load(detector: ImportedDetector, state: dict[str, Tensor], checkpoint: Checkpoint) -> None:
+def _load(
+    detector: ImportedDetector, state: dict[str, Tensor], checkpoint: Checkpoint, kind: str
+) -> None:
     model = detector.network.model
     wanted = model.state_dict()
     try:
@@ -289,9 +302,11 @@ def _load(detector: ImportedDetector, state: dict[str, Tensor], checkpoint: Chec
             if not name.endswith("num_batches_tracked")
             and (name not in wanted or name not in state or wanted[name].shape != state[name].shape)
         )
-        given = checkpoint.architecture
-        what = given or "the architecture it names"
-        remedy = "give the --architecture they were trained as" if given else "save it unfused"
+        what, remedy = "the architecture it names", "save it unfused"
+        if checkpoint.architecture is not None:
+            what, remedy = checkpoint.architecture, "give the --architecture they were trained as"
+        elif kind == "detectron2":
+            what, remedy = "the config.yaml beside it", READABLE
         raise ConfigurationError(
             f"The weights of {checkpoint.path} do not fit {what}: {len(different)} tensors differ, "
             f"such as {different[0] if different else 'none by name'}; {remedy}."
