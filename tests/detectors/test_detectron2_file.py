@@ -340,5 +340,5 @@ def test_other_tensors_are_refused(tmp_path: Path) -> None:
     state = weights(TWO_STAGES)
     state["roi_heads.keypoint_head.conv_fcn1.weight"] = torch.zeros(1)
     del state["roi_heads.box_head.fc2.bias"]
-    with pytest.raises(SkyproofError, match=r"beside it: 2 tensors differ.*give a RetinaNet, a"):
+    with pytest.raises(SkyproofError, match=r"beside it: 2 tensors differ.*give a RetinaNet, F"):
         read(write(tmp_path, TWO_STAGES, state), "0")

@@ -25,7 +25,7 @@ from skyproof.documents import check_document
 from skyproof.errors import ConfigurationError, StoredFileError
 
 READABLE = (
-    "give a RetinaNet, a Faster R-CNN or a Mask R-CNN on a ResNet-50 or 101 with a pyramid, or call "
+    "give a RetinaNet, Faster R-CNN or Mask R-CNN on a ResNet-50 or 101 with a pyramid, or call "
     "Detectron2 yourself (examples/recipes)"
 )
 _MARKS = ("backbone.bottom_up.stem.conv1.weight", "backbone.fpn_lateral5.weight")
