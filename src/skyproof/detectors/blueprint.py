@@ -62,6 +62,10 @@ _RESNET = re.compile(r"resnet\d{2,3}d?(\.\w{1,30})?")
 # More than LVIS has: RetinaNet scores each class for 200,000 anchors in an image of 1024 px.
 _MOST_TORCHVISION_CLASSES = 1500
 _OF_TORCHVISION = ("torchvision", "detectron2")
+DETECTRON2_REMEDY = (
+    "give a RetinaNet, Faster R-CNN or Mask R-CNN on a ResNet-50 or 101 with a pyramid, or call "
+    "Detectron2 yourself (examples/recipes)"
+)
 
 Kind = Literal["torchvision", "ultralytics", "transformers", "detectron2"]
 """The library whose network a checkpoint holds."""
@@ -126,22 +130,44 @@ class _Configuration(msgspec.Struct, forbid_unknown_fields=True):
 
 
 _Sides = Annotated[list[_Limit], Meta(min_length=1, max_length=10)]
+_Ratios = Annotated[list[_Scale], Meta(min_length=1, max_length=10)]
 
 
-class Detectron2Plan(msgspec.Struct, forbid_unknown_fields=True):
-    """A RetinaNet ("one stage") or Faster R-CNN of Detectron2 on a ResNet; colours are RGB of 1.
-
-    `stride_in_1x1` says that a stage's first convolution takes the stride. Anchors are those of
-    each level, or of all; ratios are height by width.
-    """
-
-    one_stage: bool
+class _Resnets(msgspec.Struct, rename=str.upper):
     depth: Literal[50, 101]
     stride_in_1x1: bool
-    image_mean: _Mean
-    image_std: _Deviation
-    anchor_sides_px: Annotated[list[_Sides], Meta(min_length=1, max_length=5)]
-    anchor_ratios: Annotated[list[_Scale], Meta(min_length=1, max_length=10)]
+    num_groups: Literal[1]
+
+
+class _AnchorGenerator(msgspec.Struct, rename=str.upper):
+    # Sides in pixels, of each level or of all, and ratios of height and width.
+    sizes: Annotated[list[_Sides], Meta(min_length=1, max_length=5)]
+    aspect_ratios: Annotated[list[_Ratios], Meta(min_length=1, max_length=1)]
+
+
+class _Model(msgspec.Struct, rename=str.upper):
+    meta_architecture: Literal["RetinaNet", "GeneralizedRCNN"]
+    pixel_mean: _Mean
+    pixel_std: Annotated[list[_Limit], Meta(min_length=3, max_length=3)]
+    resnets: _Resnets
+    anchor_generator: _AnchorGenerator
+
+
+class _Input(msgspec.Struct, rename=str.upper):
+    format: Literal["BGR", "RGB"]
+    min_size_test: Annotated[int, Meta(ge=0, le=4096)]
+
+
+class Detectron2Plan(msgspec.Struct, rename=str.upper):
+    """The fields of config.yaml on which the detections of Detectron2 depend."""
+
+    model: _Model
+    input: _Input
+
+    @property
+    def one_stage(self) -> bool:
+        """Whether it is a RetinaNet and no Faster R-CNN."""
+        return self.model.meta_architecture == "RetinaNet"
 
 
 @dataclass(frozen=True)
@@ -204,9 +230,8 @@ class Blueprint:
 
 def detectron2_plan(architecture: Any) -> Detectron2Plan:
     """Reads the plan of a network of Detectron2; refuses one beyond its limits."""
-    what, remedy = "the configuration of Detectron2", "give the detector of a ResNet pyramid"
     plan: Detectron2Plan = check_document(
-        architecture, Detectron2Plan, what, remedy, error=ConfigurationError
+        architecture, Detectron2Plan, "config.yaml", DETECTRON2_REMEDY, error=ConfigurationError
     )
     return plan
 

@@ -7,11 +7,11 @@ samples of a region. `config.yaml`, which the trainer writes beside its weights,
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import torch
 import yaml
-from msgspec import Meta, Struct, to_builtins
+from msgspec import Struct, to_builtins
 from torch import Tensor, nn
 from torchvision import ops
 from torchvision.models import detection
@@ -19,16 +19,13 @@ from torchvision.models.detection.anchor_utils import AnchorGenerator
 from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
 from torchvision.ops.feature_pyramid_network import LastLevelP6P7
 
-from skyproof.detectors.blueprint import Detectron2Plan
+from skyproof.detectors.blueprint import DETECTRON2_REMEDY, Detectron2Plan, detectron2_plan
 from skyproof.detectors.region_align import area_levels
 from skyproof.documents import check_document
 from skyproof.errors import ConfigurationError, StoredFileError
 
-READABLE = (
-    "give a RetinaNet, Faster R-CNN or Mask R-CNN on a ResNet-50 or 101 with a pyramid, or call "
-    "Detectron2 yourself (examples/recipes)"
-)
 _MARKS = ("backbone.bottom_up.stem.conv1.weight", "backbone.fpn_lateral5.weight")
+_FIRST = "backbone.body.conv1.weight"
 # Tensor names in Detectron2 and in torchvision, replaced one after the other.
 _NAMES = (
     (r"^backbone\.bottom_up\.stem\.conv1\.norm\.", "backbone.body.bn1."),
@@ -55,46 +52,13 @@ def _hidden(branch: str, place: int) -> str:
     return f"head.{_HEADS[branch]}.conv.{place // 2}.0."
 
 
-_Three = Annotated[list[float], Meta(min_length=3, max_length=3)]
-
-
-class _Resnets(Struct, rename=str.upper):
-    depth: Literal[50, 101]
-    stride_in_1x1: bool
-    num_groups: Literal[1]
-
-
-class _Anchors(Struct, rename=str.upper):
-    sizes: list[list[float]]
-    aspect_ratios: Annotated[list[list[float]], Meta(min_length=1, max_length=1)]
-
-
 class _BoxHead(Struct, rename=str.upper):
+    """How Faster R-CNN samples a region; all else is refused."""
+
     pooler_type: Literal["ROIAlignV2"]
     pooler_resolution: Literal[7]
     pooler_sampling_ratio: Literal[0]
     cls_agnostic_bbox_reg: Literal[False] = False
-
-
-class _Model(Struct, rename=str.upper):
-    meta_architecture: Literal["RetinaNet", "GeneralizedRCNN"]
-    pixel_mean: _Three
-    pixel_std: _Three
-    resnets: _Resnets
-    anchor_generator: _Anchors
-    roi_box_head: dict[str, Any]
-
-
-class _Input(Struct, rename=str.upper):
-    format: Literal["BGR", "RGB"]
-    min_size_test: int
-
-
-class _Configuration(Struct, rename=str.upper):
-    """The fields of config.yaml on which a detection depends."""
-
-    model: _Model
-    input: _Input
 
 
 def is_detectron2(state: Mapping[str, Tensor]) -> bool:
@@ -118,60 +82,60 @@ def read_detectron2(
             f"{beside} is missing or no YAML of plain values; give the weights in the folder where "
             "the trainer wrote config.yaml beside them."
         ) from error
-    read: Any = check_document(told, _Configuration, str(beside), READABLE)
-    model = read.model
-    one_stage = model.meta_architecture == "RetinaNet"
-    if not one_stage:
-        check_document(model.roi_box_head, _BoxHead, f"{beside}, MODEL.ROI_BOX_HEAD", READABLE)
-    renamed = {_renamed(name, 3 if one_stage else 2): each for name, each in state.items()}
+    plan = detectron2_plan(told)
+    if not plan.one_stage:
+        head = told["MODEL"].get("ROI_BOX_HEAD")
+        check_document(head, _BoxHead, f"{beside}, MODEL.ROI_BOX_HEAD", DETECTRON2_REMEDY)
+    # Masks change no box.
+    renamed = {
+        _renamed(name, 3 if plan.one_stage else 2): tensor
+        for name, tensor in state.items()
+        if not name.startswith("roi_heads.mask_head.")
+    }
     state.clear()
     state.update(renamed)
-    # Masks change no box.
-    for name in [name for name in state if name.startswith("roi_heads.mask_head.")]:
-        del state[name]
-    colours = [[value / 255 for value in each] for each in (model.pixel_mean, model.pixel_std)]
-    first = "backbone.body.conv1.weight"
-    if read.input.format == "BGR":
-        colours = [each[::-1] for each in colours]
-        state[first] = state[first].flip(1)
-    plan = Detectron2Plan(
-        one_stage=one_stage,
-        depth=model.resnets.depth,
-        stride_in_1x1=model.resnets.stride_in_1x1,
-        image_mean=colours[0],
-        image_std=colours[1],
-        anchor_sides_px=model.anchor_generator.sizes,
-        anchor_ratios=model.anchor_generator.aspect_ratios[0],
-    )
-    if one_stage:
+    if plan.input.format == "BGR":
+        state[_FIRST] = state[_FIRST].flip(1)
+    if plan.one_stage:
         rows = state.get("head.classification_head.cls_logits.bias", torch.zeros(0))
-        anchors = len(plan.anchor_sides_px[0]) * len(plan.anchor_ratios)
-        classes = [*map(str, range(len(rows) // max(anchors, 1)))]
+        anchors = plan.model.anchor_generator
+        known = len(rows) // (len(anchors.sizes[0]) * len(anchors.aspect_ratios[0]))
+        classes = [*map(str, range(known))]
     else:
         classes = ["background", *map(str, range(_background_first(state)))]
-    side_px = read.input.min_size_test
-    return to_builtins(plan), classes, side_px or None
+    return to_builtins(plan), classes, plan.input.min_size_test or None
+
+
+def colours_of(plan: Detectron2Plan) -> tuple[list[float], list[float]]:
+    """Mean and deviation of red, green and blue in [0, 1]."""
+    turn = -1 if plan.input.format == "BGR" else 1
+    mean, deviation = (
+        [value / 255 for value in each[::turn]]
+        for each in (plan.model.pixel_mean, plan.model.pixel_std)
+    )
+    return mean, deviation
 
 
 def detectron2_model(plan: Detectron2Plan, classes: int) -> Any:
     """Builds torchvision's network with the anchors and region samples of Detectron2."""
-    name = f"resnet{plan.depth}"
+    model, sides_px = plan.model, plan.model.anchor_generator.sizes
+    name = f"resnet{model.resnets.depth}"
     levels: dict[str, Any] = {"weights": None, "norm_layer": nn.BatchNorm2d}
     if plan.one_stage:
         extra = LastLevelP6P7(2048, 256)
         levels |= {"returned_layers": [2, 3, 4], "extra_blocks": extra}
     backbone = resnet_fpn_backbone(backbone_name=name, **levels)
-    for stage in ("layer2", "layer3", "layer4") if plan.stride_in_1x1 else ():
+    for stage in ("layer2", "layer3", "layer4") if model.resnets.stride_in_1x1 else ():
         block = backbone.body[stage][0]
         block.conv1.stride, block.conv2.stride = block.conv2.stride, block.conv1.stride
     strides_px = [8, 16, 32, 64, 128] if plan.one_stage else [4, 8, 16, 32, 64]
-    if len(plan.anchor_sides_px) not in (1, len(strides_px)):
+    if len(sides_px) not in (1, len(strides_px)):
         raise ConfigurationError(
-            f"it has anchors for {len(plan.anchor_sides_px)} levels, and 1 or 5 are expected; "
-            f"{READABLE}."
+            f"it has anchors for {len(sides_px)} levels, and 1 or 5 are expected; "
+            f"{DETECTRON2_REMEDY}."
         )
-    sides_px = plan.anchor_sides_px * (5 if len(plan.anchor_sides_px) == 1 else 1)
-    anchors = _FixedAnchors(sides_px, plan.anchor_ratios, strides_px)
+    sides_px = sides_px * (5 if len(sides_px) == 1 else 1)
+    anchors = _FixedAnchors(sides_px, model.anchor_generator.aspect_ratios[0], strides_px)
     if plan.one_stage:
         return detection.RetinaNet(backbone, classes, anchor_generator=anchors)
     pool = _AlignedPool(["0", "1", "2", "3"], 7, 0)

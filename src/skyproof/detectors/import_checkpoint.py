@@ -11,10 +11,10 @@ from torch import Tensor
 from torchvision.models import detection
 
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.blueprint import Blueprint, Kind, plain_architecture
+from skyproof.detectors.blueprint import DETECTRON2_REMEDY, Blueprint, Kind, plain_architecture
 from skyproof.detectors.card import DetectorCard, require_detector_name
 from skyproof.detectors.checkpoints import StandIn, networks_in, parts_of, read_checkpoint, state_of
-from skyproof.detectors.detectron2_file import READABLE, is_detectron2, read_detectron2
+from skyproof.detectors.detectron2_file import is_detectron2, read_detectron2
 from skyproof.detectors.imported import ImportedDetector, class_rows
 from skyproof.detectors.loaded import save_detector
 from skyproof.detectors.rf_detr_file import is_rf_detr, read_rf_detr
@@ -307,7 +307,7 @@ def _load(
         if checkpoint.architecture is not None:
             what, remedy = checkpoint.architecture, "give the --architecture they were trained as"
         elif kind == "detectron2":
-            what, remedy = "the config.yaml beside it", READABLE
+            what, remedy = "the config.yaml beside it", DETECTRON2_REMEDY
         raise ConfigurationError(
             f"The weights of {checkpoint.path} do not fit {what}: {len(different)} tensors differ, "
             f"such as {different[0] if different else 'none by name'}; {remedy}."

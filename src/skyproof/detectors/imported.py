@@ -29,7 +29,7 @@ from skyproof.detectors.detector import (
     check_targets,
     pad_to_stride,
 )
-from skyproof.detectors.detectron2_file import detectron2_model
+from skyproof.detectors.detectron2_file import colours_of, detectron2_model
 from skyproof.detectors.query_detector import QueryDetector
 from skyproof.detectors.torchvision_detectors import (
     FasterRcnnDetector,
@@ -166,7 +166,7 @@ def _network(
         plan = detectron2_plan(blueprint.architecture)
         own: type[_Imported] = _ImportedRetinaNet if plan.one_stage else ImportedFasterRcnn
         found = own(detectron2_model(plan, len(blueprint.classes)), vehicles)
-        found.colours = (plan.image_mean, plan.image_std)
+        found.colours = colours_of(plan)
         return found
     if isinstance(blueprint.architecture, dict):
         # The checkpoint lists class names; its architecture decides how many the head has.
