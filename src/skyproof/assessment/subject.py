@@ -18,6 +18,7 @@ from skyproof.attacks.world import World
 from skyproof.camouflage.palette import ground_palette
 from skyproof.cli.ground import inspect_shown
 from skyproof.detectors.answers import BlackBoxDetector
+from skyproof.detectors.blueprint import FOLDER_FILES, FOLDER_WEIGHTS
 from skyproof.detectors.card import (
     REFERENCE_DETECTORS,
     detector_folder,
@@ -27,7 +28,6 @@ from skyproof.detectors.card import (
 from skyproof.detectors.detector import Detector, TrainableDetector
 from skyproof.detectors.loaded import load_detector, load_ensemble
 from skyproof.detectors.onnx_file import OnnxFile
-from skyproof.detectors.transformers_folder import FOLDER_FILES, FOLDER_WEIGHTS
 from skyproof.device import choose_device
 from skyproof.errors import ConfigurationError, SkyproofError
 from skyproof.files import file_digest

@@ -46,6 +46,10 @@ nn.BatchNorm2d nn.Conv2d nn.ConvTranspose2d nn.Identity nn.MaxPool2d nn.Upsample
 _LAYERS = frozenset(_LAYER_NAMES.split())
 _ACTIVATION = re.compile(r"(torch\.)?nn\.[A-Z]\w*\((\w+=[\w.]+|[0-9.]+)?\)")
 
+FOLDER_WEIGHTS = ("model.safetensors", "pytorch_model.bin")
+FOLDER_FILES = ("config.json", "preprocessor_config.json")
+"""Files that may hold a folder's weights, and those that say what the network is and sees."""
+
 # Families of transformers whose networks answer alike, and the backbones that they stand on.
 TIMM = "timm_backbone"
 _BACKBONES = ("rt_detr_resnet", "resnet", "hgnet_v2")

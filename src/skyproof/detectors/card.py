@@ -9,8 +9,7 @@ from typing import Annotated, Any
 
 from msgspec import Meta
 
-from skyproof.detectors.blueprint import Blueprint
-from skyproof.detectors.transformers_folder import FOLDER_WEIGHTS
+from skyproof.detectors.blueprint import FOLDER_WEIGHTS, Blueprint
 from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import write_json

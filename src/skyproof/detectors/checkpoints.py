@@ -9,15 +9,17 @@ and its author's libraries are not needed.
 import re
 import warnings
 import zipfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from safetensors.torch import load_file
 from torch import Tensor
 
-from skyproof.errors import StoredFileError
+from skyproof.detectors.blueprint import Kind
+from skyproof.errors import ConfigurationError, StoredFileError
 
 # Places of an averaged network: if there is one, it is the one in use.
 _AVERAGED = re.compile(r"(?<![a-z])(ema|swa)(?![a-z])|averag", re.IGNORECASE)
@@ -31,6 +33,34 @@ _MOST_MODULES = 100_000
 _LONGEST_NAME = 2000
 # Half precision doubles in size, and layers may share weights.
 _MOST_WIDENED = 8
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A checkpoint file, whose code is never run, and the facts needed to read it.
+
+    The kind is "torchvision", "ultralytics", "detectron2" (a file beside config.yaml) or
+    "transformers", whose path is model.safetensors in a folder of `save_pretrained`, or a file of
+    RF-DETR's trainer. Vehicle classes are names, but label numbers for torchvision (COCO: 3 car, 6
+    bus, 8 truck), which also needs `architecture`, and for Detectron2 (COCO: 2, 5, 7). `gsd_m` is
+    the resolution that the detector was made for; None means that of the images.
+    """
+
+    path: Path
+    kind: Kind
+    vehicle_classes: Sequence[str]
+    architecture: str | None = None
+    gsd_m: float | None = None
+
+
+class ReadNetwork(NamedTuple):
+    """The network of a checkpoint: see `Blueprint`; vehicle classes are positions."""
+
+    architecture: str | dict[str, Any]
+    classes: list[str]
+    vehicle_classes: list[int]
+    norm_eps: float | None = None
+    side_px: int | None = None
 
 
 class StandIn:
@@ -226,3 +256,16 @@ def _what_came(path: Path) -> str:
     if "data.pkl" in names:
         return "it is damaged, or names what no checkpoint needs"
     return "it is an archive of something else"
+
+
+def class_positions(vehicles: Sequence[str], classes: list[str]) -> list[int]:
+    """Returns where vehicle classes stand among a network's classes; refuses unknown names."""
+    missing = [name for name in vehicles if name not in classes]
+    if missing or not vehicles:
+        raise ConfigurationError(
+            f"--vehicle-classes expects names out of {', '.join(classes)}; got "
+            f"{', '.join(missing) or 'none'}."
+        )
+    # Several classes may have the same name, and a name may be given twice.
+    found = (index for one in vehicles for index, name in enumerate(classes) if name == one)
+    return [*dict.fromkeys(found)]

@@ -6,7 +6,6 @@ samples of a region. `config.yaml`, which the trainer writes beside its weights,
 
 import re
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, Literal
 
 import torch
@@ -20,6 +19,7 @@ from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
 from torchvision.ops.feature_pyramid_network import LastLevelP6P7
 
 from skyproof.detectors.blueprint import DETECTRON2_REMEDY, Detectron2Plan, detectron2_plan
+from skyproof.detectors.checkpoints import Checkpoint, ReadNetwork, class_positions
 from skyproof.detectors.region_align import area_levels
 from skyproof.documents import check_document
 from skyproof.errors import ConfigurationError, StoredFileError
@@ -66,14 +66,12 @@ def is_detectron2(state: Mapping[str, Tensor]) -> bool:
     return all(mark in state for mark in _MARKS)
 
 
-def read_detectron2(
-    path: Path, state: dict[str, Tensor]
-) -> tuple[dict[str, Any], list[str], int | None]:
-    """Returns the plan, class names and the side in pixels; `state` becomes that of torchvision.
+def read_detectron2(checkpoint: Checkpoint, state: dict[str, Tensor]) -> ReadNetwork:
+    """Reads the network, and brings `state` into the form of torchvision.
 
     Classes are numbers from 0, as in Detectron2. Those of Faster R-CNN begin with the background.
     """
-    beside = path.with_name("config.yaml")
+    beside = checkpoint.path.with_name("config.yaml")
     try:
         with beside.open("rb") as file:
             told = yaml.safe_load(file.read(10**6))
@@ -103,7 +101,8 @@ def read_detectron2(
         classes = [*map(str, range(known))]
     else:
         classes = ["background", *map(str, range(_background_first(state)))]
-    return to_builtins(plan), classes, plan.input.min_size_test or None
+    vehicles = class_positions(checkpoint.vehicle_classes, classes)
+    return ReadNetwork(to_builtins(plan), classes, vehicles, side_px=plan.input.min_size_test)
 
 
 def colours_of(plan: Detectron2Plan) -> tuple[list[float], list[float]]:

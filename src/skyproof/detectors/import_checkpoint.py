@@ -1,25 +1,37 @@
 """Turns a checkpoint into a detector folder: weights, vehicle classes, frozen threshold."""
 
-import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import torch
 from torch import Tensor
 from torchvision.models import detection
 
 from skyproof.datasets.dataset import Dataset
-from skyproof.detectors.blueprint import DETECTRON2_REMEDY, Blueprint, Kind, plain_architecture
+from skyproof.detectors.blueprint import (
+    DETECTRON2_REMEDY,
+    FOLDER_FILES,
+    FOLDER_WEIGHTS,
+    Blueprint,
+    Kind,
+)
 from skyproof.detectors.card import DetectorCard, require_detector_name
-from skyproof.detectors.checkpoints import StandIn, networks_in, parts_of, read_checkpoint, state_of
+from skyproof.detectors.checkpoints import (
+    Checkpoint,
+    ReadNetwork,
+    networks_in,
+    read_checkpoint,
+    state_of,
+)
 from skyproof.detectors.detectron2_file import is_detectron2, read_detectron2
 from skyproof.detectors.imported import ImportedDetector, class_rows
 from skyproof.detectors.loaded import save_detector
 from skyproof.detectors.rf_detr_file import is_rf_detr, read_rf_detr
 from skyproof.detectors.transformers_detectors import converted_weights
-from skyproof.detectors.transformers_folder import FOLDER_FILES, FOLDER_WEIGHTS, read_folder
+from skyproof.detectors.transformers_folder import read_folder
+from skyproof.detectors.ultralytics_file import read_ultralytics
 from skyproof.detectors.validation import check_validation, frozen_card, validate
 from skyproof.errors import ConfigurationError, StoredFileError
 from skyproof.files import file_digest, finished_folder, refuse_existing
@@ -31,41 +43,6 @@ _WITHOUT_EPS = {
     "retinanet_resnet50_fpn": detection.RetinaNet_ResNet50_FPN_Weights.COCO_V1,
     "fasterrcnn_resnet50_fpn": detection.FasterRCNN_ResNet50_FPN_Weights.COCO_V1,
 }
-
-_KINDS = ("Detection", "OBB", "RTDETRDetection", "Segmentation")
-_NETWORKS = [f"ultralytics.nn.tasks.{kind}Model" for kind in _KINDS]
-# Modules of the repository of 2020, as a checkout and as a package.
-_ANCHOR_NETWORKS = tuple(
-    f"{package}models.yolo.{name}"
-    for package in ("", "yolov5.")
-    for name in ("Model", "DetectionModel")
-)
-_MOST_CLASSES = 5000
-
-# Architecture, names of classes, positions of the vehicle classes, epsilon of the batch norm, side
-# of the training images in pixels.
-_Plan = tuple[str | dict[str, Any], list[str], list[int], float | None, int | None]
-
-
-@dataclass(frozen=True)
-class Checkpoint:
-    """A checkpoint file, whose code is never run, and the facts needed to read it.
-
-    The kind is "torchvision", "ultralytics", "detectron2" (a file beside config.yaml) or
-    "transformers", whose path is model.safetensors in a folder of `save_pretrained`, or a file of
-    RF-DETR's trainer. Vehicle classes are names, but label numbers for torchvision (COCO: 3 car, 6
-    bus, 8 truck), which also needs `architecture`, and for Detectron2 (COCO: 2, 5, 7). `gsd_m` is
-    the resolution that the detector was made for; None means that of the images.
-    """
-
-    path: Path
-    kind: Kind
-    vehicle_classes: Sequence[str]
-    architecture: str | None = None
-    gsd_m: float | None = None
-
-
-_Reader = Callable[[Checkpoint, Any, dict[str, Tensor], str], _Plan]
 
 
 def kind_of(path: Path, architecture: str | None) -> Kind:
@@ -155,20 +132,14 @@ def read_blueprint(
 
     `scale` is the number of network pixels per image pixel.
     """
-    readers: dict[str, _Reader] = {
-        "torchvision": _torchvision,
-        "ultralytics": read_ultralytics,
-        "transformers": _transformers,
-        "detectron2": _detectron2,
-    }
-    read = readers.get(checkpoint.kind)
-    if read is None:
+    kind: str = checkpoint.kind
+    if kind not in get_args(Kind):
         raise ConfigurationError(
-            f"a checkpoint is of {', '.join(readers)}, not of {checkpoint.kind!r}."
+            f"a checkpoint is of {', '.join(get_args(Kind))}, not of {checkpoint.kind!r}."
         )
-    if read is not _torchvision and checkpoint.architecture is not None:
+    if kind != "torchvision" and checkpoint.architecture is not None:
         raise ConfigurationError(
-            f"a checkpoint of {checkpoint.kind} holds its architecture; leave --architecture out."
+            f"a checkpoint of {kind} holds its architecture; leave --architecture out."
         )
     content = read_checkpoint(checkpoint.path)
     places = networks_in(content)
@@ -184,22 +155,45 @@ def read_blueprint(
             f"{checkpoint.path} holds weights that are not finite ({broken[:100]}); give a "
             "checkpoint from before its training broke."
         )
-    kind = checkpoint.kind
     in_folder = kind == "transformers" and checkpoint.path.with_name(FOLDER_FILES[0]).is_file()
-    if kind != "torchvision" and not in_folder and is_rf_detr(state):
-        kind, read, network = "transformers", _rf_detr, content
-    elif kind != "torchvision" and is_detectron2(state):
-        kind, read = "detectron2", _detectron2
+    # `assess` asks for no kind, and weights tell these.
+    if kind != "torchvision" and not in_folder:
+        kind = "detectron2" if is_detectron2(state) else kind
+        kind = "transformers" if is_rf_detr(state) else kind
     digest = file_digest(checkpoint.path)
     tensors = len(state)
-    architecture, classes, vehicles, eps, side_px = read(checkpoint, network, state, digest)
-    side_px = side_px or _noted(content, "train_args").get("imgsz")
+    if kind == "torchvision":
+        read = _torchvision(checkpoint, state, digest)
+    elif kind == "ultralytics":
+        read = read_ultralytics(checkpoint, network, state, digest)
+    elif kind == "detectron2":
+        read = read_detectron2(checkpoint, state)
+    elif is_rf_detr(state) and not in_folder:
+        read = read_rf_detr(checkpoint, content, state)
+    else:
+        read = read_folder(checkpoint)
+    if kind == "transformers":
+        source = "its config.json" if in_folder else "the settings in it"
+        weights = converted_weights(read, state, checkpoint.path, source)
+        state.clear()
+        state.update(weights)
+    side_px = read.side_px or _noted(content, "train_args").get("imgsz")
     known = type(side_px) is int and 32 <= side_px <= 4096
     # torchgeo stopped normalising in its release 0.8, and checkpoints do not note the release.
     of_torchgeo = {"backbone", "freeze_backbone"} <= _noted(content, "hyper_parameters").keys()
     named = checkpoint.path.parent if in_folder else checkpoint.path
-    rest = (named.name, digest, side_px if known else None, None if of_torchgeo else True)
-    plan = Blueprint(kind, architecture, classes, vehicles, scale, eps, *rest)
+    blueprint = Blueprint(
+        kind=kind,
+        architecture=read.architecture,
+        classes=read.classes,
+        vehicle_classes=read.vehicle_classes,
+        image_scale=scale,
+        norm_eps=read.norm_eps,
+        checkpoint=named.name,
+        checkpoint_sha256=digest,
+        side_px=side_px if known else None,
+        normalised=None if of_torchgeo else True,
+    )
     origin = f"{kind} checkpoint {named.name}"
     taken, *others = [repr(place[:100]) for place in places] or [""]
     if others:
@@ -207,7 +201,7 @@ def read_blueprint(
     # The anchors of an Ultralytics network have left `state`, too, but they are used.
     if checkpoint.kind == "torchvision" and len(state) < tensors:
         origin += f", without {tensors - len(state)} tensors beside the network"
-    return plan, state, origin
+    return blueprint, state, origin
 
 
 def _noted(content: Any, name: str) -> Mapping[str, Any]:
@@ -225,9 +219,7 @@ def _sees_normalised(detector: ImportedDetector, validation: Dataset) -> bool:
     return bool(network.normalised)
 
 
-def _torchvision(
-    checkpoint: Checkpoint, network: Any, state: dict[str, Tensor], digest: str
-) -> _Plan:
+def _torchvision(checkpoint: Checkpoint, state: dict[str, Tensor], digest: str) -> ReadNetwork:
     if checkpoint.architecture is None:
         raise ConfigurationError(
             "a torchvision checkpoint does not say what it is; give --architecture."
@@ -252,41 +244,8 @@ def _torchvision(
     published = _WITHOUT_EPS.get(checkpoint.architecture)
     # torchvision's file names end with the first digits of their digest.
     same = published is not None and published.url.endswith(f"-{digest[:8]}.pth")
-    return checkpoint.architecture, [*map(str, range(count))], numbers, 0.0 if same else None, None
-
-
-def _transformers(
-    checkpoint: Checkpoint, network: Any, state: dict[str, Tensor], digest: str
-) -> _Plan:
-    read = read_folder(checkpoint.path)
-    return _of_transformers(checkpoint, state, "its config.json", *read)
-
-
-def _rf_detr(checkpoint: Checkpoint, content: Any, state: dict[str, Tensor], digest: str) -> _Plan:
-    read = read_rf_detr(checkpoint.path, content, state)
-    return _of_transformers(checkpoint, state, "the settings in it", *read)
-
-
-def _detectron2(
-    checkpoint: Checkpoint, network: Any, state: dict[str, Tensor], digest: str
-) -> _Plan:
-    architecture, classes, side_px = read_detectron2(checkpoint.path, state)
-    return architecture, classes, _positions(checkpoint.vehicle_classes, classes), None, side_px
-
-
-def _of_transformers(
-    checkpoint: Checkpoint,
-    state: dict[str, Tensor],
-    source: str,
-    architecture: dict[str, Any],
-    classes: list[str],
-    side_px: int,
-) -> _Plan:
-    vehicles = _positions(checkpoint.vehicle_classes, classes)
-    weights = converted_weights(architecture, len(classes), state, checkpoint.path, source)
-    state.clear()
-    state.update(weights)
-    return architecture, classes, vehicles, None, side_px
+    classes = [*map(str, range(count))]
+    return ReadNetwork(checkpoint.architecture, classes, numbers, 0.0 if same else None)
 
 
 def _load(
@@ -312,123 +271,3 @@ def _load(
             f"The weights of {checkpoint.path} do not fit {what}: {len(different)} tensors differ, "
             f"such as {different[0] if different else 'none by name'}; {remedy}."
         ) from error
-
-
-def read_ultralytics(
-    checkpoint: Checkpoint, network: Any, state: dict[str, Tensor], digest: str
-) -> _Plan:
-    """Reads a stored network's plan; anchors of 2020 move from `state` to the architecture."""
-    path = checkpoint.path
-    origin = network.origin if isinstance(network, StandIn) else "a state dict"
-    if origin not in (*_NETWORKS, *_ANCHOR_NETWORKS):
-        raise StoredFileError(
-            f"{path} holds {origin}, not a detection network of Ultralytics (YOLOv5, YOLOv8, "
-            "YOLO11 or later). Export another one that finds boxes to ONNX, which skyproof assess "
-            "tests as a black box, or give sp.assess a function that finds them (examples/recipes)."
-        )
-    classes = _class_names(path, vars(network).get("names"))
-    vehicles = _positions(checkpoint.vehicle_classes, classes)
-    stored = vars(network).get("yaml")
-    items = list(stored.items())[:100] if isinstance(stored, Mapping) else []
-    plain = {name: value for name, value in items if name != "anchors"}
-    try:
-        if origin in _ANCHOR_NETWORKS:
-            plain = _with_anchors(network, state, plain)
-        else:
-            plain = _with_pooling(network, plain)
-        architecture = plain_architecture(plain)
-    except ConfigurationError as error:
-        raise ConfigurationError(f"{path} cannot be imported: {error}") from error
-    return architecture, classes, vehicles, None, None
-
-
-def _positions(vehicles: Sequence[str], classes: list[str]) -> list[int]:
-    missing = [name for name in vehicles if name not in classes]
-    if missing or not vehicles:
-        raise ConfigurationError(
-            f"--vehicle-classes expects names out of {', '.join(classes)}; got "
-            f"{', '.join(missing) or 'none'}."
-        )
-    # Several classes may have the same name, and a name may be given twice.
-    found = (index for one in vehicles for index, name in enumerate(classes) if name == one)
-    return [*dict.fromkeys(found)]
-
-
-def _class_names(path: Path, names: Any) -> list[str]:
-    listed = dict(enumerate(names)) if isinstance(names, list | tuple) else names
-    found: list[Any] = []
-    if isinstance(listed, dict) and len(listed) <= _MOST_CLASSES:
-        found = [listed.get(index) for index in range(len(listed))]
-    classes = [name for name in found if isinstance(name, str)]
-    if not classes or len(classes) < len(found):
-        raise StoredFileError(
-            f"{path} holds no class names; give a checkpoint as Ultralytics saves it."
-        )
-    return classes
-
-
-def _with_anchors(
-    network: StandIn, state: dict[str, Tensor], stored: Mapping[str, Any]
-) -> dict[str, Any]:
-    """Adds the anchors that a YOLOv5 of 2020 was trained with, which may differ from its YAML's."""
-    cells = next((state.pop(name) for name in list(state) if name.endswith(".anchors")), None)
-    # Up to release 5.0, checkpoints store them a second time, in pixels.
-    for name in [name for name in state if name.endswith(".anchor_grid")]:
-        del state[name]
-    strides = vars(network).get("stride")
-    head = stored.get("head")
-    *rows, last = head if isinstance(head, list | tuple) and head else [None]
-    if (
-        cells is None
-        or cells.ndim != 3
-        or not isinstance(strides, Tensor)
-        or strides.shape != cells.shape[:1]
-        or not isinstance(last, list | tuple)
-        or len(last) != 4
-    ):
-        raise ConfigurationError(
-            "its network holds no anchors, or no strides for them; give a checkpoint as YOLOv5 "
-            "saves it."
-        )
-    wanted = re.search(r"nn\.(\w+)", str(stored.get("activation") or "nn.SiLU"))
-    before = "torch.nn.modules.activation."
-    origins = {part.origin for part, _ in parts_of(network) if part.origin.startswith(before)}
-    # PyTorch defines its attention layer in the same module.
-    found = {origin.removeprefix(before) for origin in origins} - {"MultiheadAttention"}
-    if wanted is None or found - {wanted[1]}:
-        raise ConfigurationError(
-            f"its layers compute {', '.join(sorted(found))}, as those of releases before 4.0 "
-            "(January 2021) do, but SiLU is expected; train it with a later release."
-        )
-    pixels = (cells.double() * strides.double().view(-1, 1, 1)).flatten(1).tolist()
-    # The head's arguments were the number of classes and the anchors.
-    return {**stored, "head": [*rows, [*last[:3], ["nc"]]], "anchors": pixels}
-
-
-def _with_pooling(network: StandIn, stored: Mapping[str, Any]) -> dict[str, Any]:
-    """Notes in the rows of pooling layers (SPPF) whether their first convolution is activated.
-
-    Ultralytics 8.4.0 dropped the activation for YOLO26, whose rows give the number of poolings: at
-    first for all networks, later only for such rows. Only the stored network tells.
-    """
-    bare = {
-        prefix.split(".")[1]
-        for part, prefix in parts_of(network)
-        if prefix.endswith(".cv1.act.") and part.origin == "torch.nn.modules.linear.Identity"
-    }
-    told = dict(stored)
-    number = 0
-    for section in ("backbone", "head"):
-        rows = stored.get(section)
-        if not isinstance(rows, list | tuple):
-            continue
-        told[section] = []
-        for row in rows:
-            if isinstance(row, list | tuple) and len(row) == 4 and row[2] == "SPPF":
-                source, count, name, given = row
-                # Channels and side of the window; three poolings are usual.
-                if isinstance(given, list | tuple) and len(given) < 3 and str(number) in bare:
-                    row = [source, count, name, [*given, *[5, 3][len(given) - 1 :]]]
-            told[section].append(row)
-            number += 1
-    return told

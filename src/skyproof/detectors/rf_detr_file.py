@@ -5,14 +5,13 @@ rest is noted in the file.
 """
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
 from msgspec import Meta
 from torch import Tensor
 
-from skyproof.detectors.checkpoints import StandIn
+from skyproof.detectors.checkpoints import Checkpoint, ReadNetwork, StandIn, class_positions
 from skyproof.documents import check_document
 from skyproof.errors import StoredFileError
 
@@ -30,7 +29,7 @@ _MEAN, _DEVIATION = [0.485, 0.456, 0.406], [0.229, 0.224, 0.225]
 _Number = Annotated[int, Meta(ge=1, le=64)]
 
 
-class _Settings(msgspec.Struct):
+class _RfDetrSettings(msgspec.Struct):
     """What does not follow from the weights; `num_windows` is older than its note in the file."""
 
     resolution: Annotated[int, Meta(ge=32, le=4096)]
@@ -47,22 +46,20 @@ def is_rf_detr(state: Mapping[str, Tensor]) -> bool:
     return any(name.endswith(_MARK) for name in state)
 
 
-def read_rf_detr(
-    path: Path, content: Any, state: dict[str, Tensor]
-) -> tuple[dict[str, Any], list[str], int]:
-    """Returns architecture, class names and the side in pixels, as `read_folder` does.
+def read_rf_detr(checkpoint: Checkpoint, content: Any, state: dict[str, Tensor]) -> ReadNetwork:
+    """Reads the network as `read_folder` does; what no box needs leaves `state`.
 
-    What no box needs leaves `state`. Classes without names are numbers, as in rfdetr's own weights
-    for COCO (3 car, 6 bus, 8 truck).
+    Classes without names are numbers, as in rfdetr's own weights for COCO (3 car, 6 bus, 8 truck).
     """
+    path = checkpoint.path
     if any("projector.stages.1." in name for name in state):
         raise StoredFileError(
             f"{path} holds an RF-DETR of several levels, as the first Large was, and one level is "
             "expected; export it to ONNX, which skyproof assess tests as a black box."
         )
     noted = {**_fields(content, "args"), **_fields(content, "model_config")}
-    known = {name: noted[name] for name in _Settings.__struct_fields__ if name in noted}
-    settings: Any = check_document(known, _Settings, f"the settings in {path}", _REMEDY)
+    known = {name: noted[name] for name in _RfDetrSettings.__struct_fields__ if name in noted}
+    settings: Any = check_document(known, _RfDetrSettings, f"the settings in {path}", _REMEDY)
     try:
         prefix = next(name.removesuffix(_MARK) for name in state if name.endswith(_MARK))
         bare = {name.removeprefix(prefix): tensor for name, tensor in state.items()}
@@ -105,7 +102,8 @@ def read_rf_detr(
     names = settings.class_names or []
     classes = [*names[:rows], *map(str, range(min(len(names), rows), rows))]
     plan = {"network": network, "backbone": backbone, "image_mean": _MEAN, "image_std": _DEVIATION}
-    return plan, classes, settings.resolution
+    vehicles = class_positions(checkpoint.vehicle_classes, classes)
+    return ReadNetwork(plan, classes, vehicles, side_px=settings.resolution)
 
 
 def _fields(content: Any, name: str) -> Mapping[str, Any]:

@@ -16,6 +16,7 @@ from torch import Tensor
 from torch.overrides import TorchFunctionMode
 
 from skyproof.detectors.blueprint import TIMM, Blueprint
+from skyproof.detectors.checkpoints import ReadNetwork
 from skyproof.detectors.cost import SIDE_PX, Meter, measured
 from skyproof.detectors.query_detector import Answers, QueryDetector
 from skyproof.detectors.transformers_folder import REMEDY
@@ -86,11 +87,7 @@ class _WholeGradient(TorchFunctionMode):
 
 
 def converted_weights(
-    architecture: Mapping[str, Any],
-    classes: int,
-    state: Mapping[str, Tensor],
-    path: Path,
-    source: str,
+    plan: ReadNetwork, state: Mapping[str, Tensor], path: Path, source: str
 ) -> dict[str, Tensor]:
     """Returns a file's weights under the names of the network; the library renames older ones.
 
@@ -100,7 +97,7 @@ def converted_weights(
         ConfigurationError: tensors are missing, superfluous or of another shape.
     """
     with _offline(), torch.random.fork_rng(devices=[]):
-        configuration, kind = _configured(architecture, classes)
+        configuration, kind = _configured(plan.architecture, len(plan.classes))
         network, told = kind.from_pretrained(
             None,
             config=configuration,
@@ -123,7 +120,7 @@ def converted_weights(
     return weights
 
 
-def _configured(architecture: Mapping[str, Any], classes: int) -> tuple[Any, Any]:
+def _configured(architecture: Any, classes: int) -> tuple[Any, Any]:
     """Returns the library's configuration and the class of the network, whose size is checked.
 
     Only fields that the configuration's class declares are passed on. None of them names a file, a

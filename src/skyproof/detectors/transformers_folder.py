@@ -1,19 +1,15 @@
 """Reads a detector's folder as Hugging Face transformers writes it; imports no transformers."""
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
 from msgspec import Meta
 
-from skyproof.detectors.blueprint import TIMM, check_configuration
+from skyproof.detectors.blueprint import FOLDER_FILES, TIMM, check_configuration
+from skyproof.detectors.checkpoints import Checkpoint, ReadNetwork, class_positions
 from skyproof.documents import read_document
 from skyproof.errors import ConfigurationError, StoredFileError
-
-FOLDER_WEIGHTS = ("model.safetensors", "pytorch_model.bin")
-FOLDER_FILES = ("config.json", "preprocessor_config.json")
-"""Files that may hold a folder's weights, and those that say what the network is and sees."""
 
 REMEDY = "give the folder as save_pretrained of the model and of its image processor writes it"
 
@@ -52,13 +48,13 @@ class _ProcessorFile(msgspec.Struct):
         return whole.pop()
 
 
-def read_folder(weights: Path) -> tuple[dict[str, Any], list[str], int]:
-    """Reads the files beside a folder's weights: architecture, class names, and the side in pixels.
+def read_folder(checkpoint: Checkpoint) -> ReadNetwork:
+    """Reads the files beside a folder's weights.
 
     The architecture holds the fields of config.json ("network" and "backbone") and the mean and
     deviation by which images are normalised.
     """
-    path, beside = (weights.with_name(name) for name in FOLDER_FILES)
+    path, beside = (checkpoint.path.with_name(name) for name in FOLDER_FILES)
     known: _ConfigurationFile = read_document(path, _ConfigurationFile, REMEDY)
     stored: dict[str, Any] = read_document(path, dict[str, Any], REMEDY)
     classes = [known.id2label.get(str(index), "") for index in range(len(known.id2label))]
@@ -89,7 +85,8 @@ def read_folder(weights: Path) -> tuple[dict[str, Any], list[str], int]:
         "image_std": processor.image_std if normal else [1.0] * 3,
     }
     check_configuration(architecture)
-    return architecture, classes, processor.side_px
+    vehicles = class_positions(checkpoint.vehicle_classes, classes)
+    return ReadNetwork(architecture, classes, vehicles, side_px=processor.side_px)
 
 
 def _plain(stored: Mapping[str, Any]) -> dict[str, Any]:
