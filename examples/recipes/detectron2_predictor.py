@@ -1,6 +1,6 @@
-"""Assesses a detector of Detectron2 that skyproof cannot import, such as a Cascade R-CNN.
+"""Assesses a detector of Detectron2. Its network sees the images at their 12.5 cm per pixel.
 
-Its network sees the images at their 12.5 cm per pixel. Install `detectron2`. Change the paths and the number of the vehicle class.
+Install `detectron2`. Change the paths and the number of the vehicle class.
 """
 
 from detectron2.config import get_cfg

@@ -26,7 +26,7 @@ class Import:
         checkpoint: .pt or .pth file of torch.save, .safetensors, or a folder of transformers.
         kind: library of the checkpoint.
         vehicle_classes: vehicle classes of the checkpoint: names, or label numbers for torchvision
-            (COCO: 3 car, 6 bus, 8 truck) and Detectron2 (COCO: 2, 5, 7).
+            (COCO: 3 car, 6 bus, 8 truck).
         validation: dataset folder that freezes the threshold, at the resolution of later use.
         out: detector folder to write.
         architecture: torchvision's name, such as retinanet_resnet50_fpn: fasterrcnn, maskrcnn or

@@ -65,13 +65,8 @@ _RESNET = re.compile(r"resnet\d{2,3}d?(\.\w{1,30})?")
 
 # More than LVIS has: RetinaNet scores each class for 200,000 anchors in an image of 1024 px.
 _MOST_TORCHVISION_CLASSES = 1500
-_OF_TORCHVISION = ("torchvision", "detectron2")
-DETECTRON2_REMEDY = (
-    "give a RetinaNet, Faster R-CNN or Mask R-CNN on a ResNet-50 or 101 with a pyramid, or call "
-    "Detectron2 yourself (examples/recipes)"
-)
 
-Kind = Literal["torchvision", "ultralytics", "transformers", "detectron2"]
+Kind = Literal["torchvision", "ultralytics", "transformers"]
 """The library whose network a checkpoint holds."""
 
 Classes = Annotated[list[Annotated[str, Meta(max_length=200)]], Meta(max_length=5000)]
@@ -133,58 +128,17 @@ class _Configuration(msgspec.Struct, forbid_unknown_fields=True):
     image_std: _Deviation
 
 
-_Sides = Annotated[list[_Limit], Meta(min_length=1, max_length=10)]
-_Ratios = Annotated[list[_Scale], Meta(min_length=1, max_length=10)]
-
-
-class _Resnets(msgspec.Struct, rename=str.upper):
-    depth: Literal[50, 101]
-    stride_in_1x1: bool
-    num_groups: Literal[1]
-
-
-class _AnchorGenerator(msgspec.Struct, rename=str.upper):
-    # Sides in pixels, of each level or of all, and ratios of height and width.
-    sizes: Annotated[list[_Sides], Meta(min_length=1, max_length=5)]
-    aspect_ratios: Annotated[list[_Ratios], Meta(min_length=1, max_length=1)]
-
-
-class _Model(msgspec.Struct, rename=str.upper):
-    meta_architecture: Literal["RetinaNet", "GeneralizedRCNN"]
-    pixel_mean: _Mean
-    pixel_std: Annotated[list[_Limit], Meta(min_length=3, max_length=3)]
-    resnets: _Resnets
-    anchor_generator: _AnchorGenerator
-
-
-class _Input(msgspec.Struct, rename=str.upper):
-    format: Literal["BGR", "RGB"]
-    min_size_test: Annotated[int, Meta(ge=0, le=4096)]
-
-
-class Detectron2Plan(msgspec.Struct, rename=str.upper):
-    """The fields of config.yaml on which the detections of Detectron2 depend."""
-
-    model: _Model
-    input: _Input
-
-    @property
-    def one_stage(self) -> bool:
-        """Whether it is a RetinaNet and no Faster R-CNN."""
-        return self.model.meta_architecture == "RetinaNet"
-
-
 @dataclass(frozen=True)
 class Blueprint:
     """The plan of an imported detector's network, without its weights; kept in `detector.json`.
 
     The architecture is a name for torchvision, whose classes are "0", "1", ..., the content of a
-    YAML file for Ultralytics, the parts of `_Configuration` for transformers, and the fields of
-    `Detectron2Plan`. Vehicle classes are positions. `image_scale` is network pixels per image
-    pixel, `norm_eps` the epsilon of the backbone's batch norm, if torchvision's published weights
-    use another one than its layers. `side_px` is the side of the training images in network pixels,
-    if the checkpoint notes it. `normalised` says whether the network expects colours normalised as
-    by torchvision; None if that is not known.
+    YAML file for Ultralytics, and the parts of `_Configuration` for transformers. Vehicle classes
+    are positions. `image_scale` is network pixels per image pixel, `norm_eps` the epsilon of the
+    backbone's batch norm, if torchvision's published weights use another one than its layers.
+    `side_px` is the side of the training images in network pixels, if the checkpoint notes it.
+    `normalised` says whether the network expects colours normalised as by torchvision; None if that
+    is not known.
     """
 
     kind: str
@@ -206,14 +160,12 @@ class Blueprint:
             check_layers(self.architecture)
         elif self.kind == "transformers":
             check_configuration(self.architecture)
-        elif self.kind == "detectron2":
-            detectron2_plan(self.architecture)
         elif self.kind != "torchvision" or self.architecture not in ARCHITECTURES:
             raise ConfigurationError(
                 f"no detector of kind {self.kind[:100]!r} is called "
                 f"{str(self.architecture)[:100]!r}."
             )
-        if self.kind in _OF_TORCHVISION and len(self.classes) > _MOST_TORCHVISION_CLASSES:
+        elif len(self.classes) > _MOST_TORCHVISION_CLASSES:
             raise ConfigurationError(
                 f"a network of torchvision with {len(self.classes):,} classes computes too much, "
                 f"at most {_MOST_TORCHVISION_CLASSES:,} are expected."
@@ -230,14 +182,6 @@ class Blueprint:
         if self.kind != "ultralytics":
             return True
         return not ("anchors" in plan or plan["head"][-1][2] in TURNED)
-
-
-def detectron2_plan(architecture: Any) -> Detectron2Plan:
-    """Reads the plan of a network of Detectron2; refuses one beyond its limits."""
-    plan: Detectron2Plan = check_document(
-        architecture, Detectron2Plan, "config.yaml", DETECTRON2_REMEDY, error=ConfigurationError
-    )
-    return plan
 
 
 def check_layers(architecture: Any) -> None:

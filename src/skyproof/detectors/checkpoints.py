@@ -39,11 +39,10 @@ _MOST_WIDENED = 8
 class Checkpoint:
     """A checkpoint file, whose code is never run, and the facts needed to read it.
 
-    The kind is "torchvision", "ultralytics", "detectron2" (a file beside config.yaml) or
-    "transformers", whose path is model.safetensors in a folder of `save_pretrained`, or a file of
-    RF-DETR's trainer. Vehicle classes are names, but label numbers for torchvision (COCO: 3 car, 6
-    bus, 8 truck), which also needs `architecture`, and for Detectron2 (COCO: 2, 5, 7). `gsd_m` is
-    the resolution that the detector was made for; None means that of the images.
+    The kind is "torchvision", "ultralytics" or "transformers", whose path is model.safetensors in a
+    folder of `save_pretrained`, or a file of RF-DETR's trainer. Vehicle classes are names, but
+    label numbers for torchvision (COCO: 3 car, 6 bus, 8 truck), which also needs `architecture`.
+    `gsd_m` is the resolution that the detector was made for; None means that of the images.
     """
 
     path: Path

@@ -11,7 +11,6 @@ from torchvision.models import detection
 
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.blueprint import (
-    DETECTRON2_REMEDY,
     FOLDER_FILES,
     FOLDER_WEIGHTS,
     Blueprint,
@@ -25,7 +24,6 @@ from skyproof.detectors.checkpoints import (
     read_checkpoint,
     state_of,
 )
-from skyproof.detectors.detectron2_file import is_detectron2, read_detectron2
 from skyproof.detectors.imported import ImportedDetector, class_rows
 from skyproof.detectors.loaded import save_detector
 from skyproof.detectors.rf_detr_file import is_rf_detr, read_rf_detr
@@ -121,7 +119,7 @@ def read_network(
         detector = ImportedDetector(name, blueprint)
     except ConfigurationError as error:
         raise ConfigurationError(f"{checkpoint.path} cannot be imported: {error}") from error
-    _load(detector, state, checkpoint, blueprint.kind)
+    _load(detector, state, checkpoint)
     return detector, blueprint, origin
 
 
@@ -156,18 +154,15 @@ def read_blueprint(
             "checkpoint from before its training broke."
         )
     in_folder = kind == "transformers" and checkpoint.path.with_name(FOLDER_FILES[0]).is_file()
-    # `assess` asks for no kind, and weights tell these.
-    if kind != "torchvision" and not in_folder:
-        kind = "detectron2" if is_detectron2(state) else kind
-        kind = "transformers" if is_rf_detr(state) else kind
+    # `assess` asks for no kind, and the weights tell this one.
+    if kind != "torchvision" and is_rf_detr(state):
+        kind = "transformers"
     digest = file_digest(checkpoint.path)
     tensors = len(state)
     if kind == "torchvision":
         read = _torchvision(checkpoint, state, digest)
     elif kind == "ultralytics":
         read = read_ultralytics(checkpoint, network, state, digest)
-    elif kind == "detectron2":
-        read = read_detectron2(checkpoint, state)
     elif is_rf_detr(state) and not in_folder:
         read = read_rf_detr(checkpoint, content, state)
     else:
@@ -248,9 +243,7 @@ def _torchvision(checkpoint: Checkpoint, state: dict[str, Tensor], digest: str) 
     return ReadNetwork(checkpoint.architecture, classes, numbers, 0.0 if same else None)
 
 
-def _load(
-    detector: ImportedDetector, state: dict[str, Tensor], checkpoint: Checkpoint, kind: str
-) -> None:
+def _load(detector: ImportedDetector, state: dict[str, Tensor], checkpoint: Checkpoint) -> None:
     model = detector.network.model
     wanted = model.state_dict()
     try:
@@ -262,11 +255,9 @@ def _load(
             if not name.endswith("num_batches_tracked")
             and (name not in wanted or name not in state or wanted[name].shape != state[name].shape)
         )
-        what, remedy = "the architecture it names", "save it unfused"
-        if checkpoint.architecture is not None:
-            what, remedy = checkpoint.architecture, "give the --architecture they were trained as"
-        elif kind == "detectron2":
-            what, remedy = "the config.yaml beside it", DETECTRON2_REMEDY
+        given = checkpoint.architecture
+        what = given or "the architecture it names"
+        remedy = "give the --architecture they were trained as" if given else "save it unfused"
         raise ConfigurationError(
             f"The weights of {checkpoint.path} do not fit {what}: {len(different)} tensors differ, "
             f"such as {different[0] if different else 'none by name'}; {remedy}."

@@ -16,7 +16,7 @@ from torchvision.ops.feature_pyramid_network import LastLevelP6P7
 from torchvision.transforms.functional import normalize
 
 from skyproof.detectors.anchor_detector import AnchorDetector
-from skyproof.detectors.blueprint import ARCHITECTURES, QUERIES, Blueprint, detectron2_plan
+from skyproof.detectors.blueprint import ARCHITECTURES, QUERIES, Blueprint
 from skyproof.detectors.checkpoints import averaged_first
 from skyproof.detectors.detector import (
     PADDING_GREY,
@@ -29,7 +29,6 @@ from skyproof.detectors.detector import (
     check_targets,
     pad_to_stride,
 )
-from skyproof.detectors.detectron2_file import colours_of, detectron2_model
 from skyproof.detectors.query_detector import QueryDetector
 from skyproof.detectors.torchvision_detectors import (
     FasterRcnnDetector,
@@ -44,7 +43,7 @@ from skyproof.errors import ConfigurationError, is_full_memory
 MEAN = (0.485, 0.456, 0.406)
 DEVIATION = (0.229, 0.224, 0.225)
 # torchvision enlarges images to 800 px, Ultralytics trains on 640 px, if nothing else is asked.
-_USUAL_SIDES_PX = {"torchvision": 800, "ultralytics": 640, "transformers": 640, "detectron2": 800}
+_USUAL_SIDES_PX = {"torchvision": 800, "ultralytics": 640, "transformers": 640}
 _WINDOWS_PX = (192, 2048)
 # Four times the largest image that is not split.
 _LARGEST_SIDE_PX = 4096
@@ -161,13 +160,6 @@ def _network(
 ) -> TorchvisionDetector | YoloNetwork | AnchorDetector | QueryDetector:
     if blueprint.kind == "transformers":
         return TransformersNetwork(blueprint, side_px)
-    vehicles = tuple(blueprint.vehicle_classes)
-    if blueprint.kind == "detectron2":
-        plan = detectron2_plan(blueprint.architecture)
-        own: type[_Imported] = _ImportedRetinaNet if plan.one_stage else ImportedFasterRcnn
-        found = own(detectron2_model(plan, len(blueprint.classes)), vehicles)
-        found.colours = colours_of(plan)
-        return found
     if isinstance(blueprint.architecture, dict):
         # The checkpoint lists class names; its architecture decides how many the head has.
         network: YoloNetwork | AnchorDetector | RtDetrNetwork
@@ -192,7 +184,7 @@ def _network(
         if blueprint.norm_eps is not None and isinstance(layer, nn.BatchNorm2d):
             layer.eps = blueprint.norm_eps
     family, _, _ = _FAMILIES[blueprint.architecture.partition("_")[0]]
-    return family(model, vehicles, blueprint.normalised is not False)
+    return family(model, tuple(blueprint.vehicle_classes), blueprint.normalised is not False)
 
 
 def _torchvision_model(architecture: str, classes: int) -> Any:
@@ -243,8 +235,6 @@ def class_rows(architecture: str, state: Mapping[str, Tensor]) -> tuple[int, str
 class _Imported(TorchvisionDetector):
     """torchvision's normalising, and the vehicle classes, whose sigmoid scores are independent."""
 
-    colours: tuple[Sequence[float], Sequence[float]] = (MEAN, DEVIATION)
-
     def __init__(
         self, model: nn.Module, vehicle_classes: tuple[int, ...], normalised: bool = True
     ) -> None:
@@ -252,7 +242,7 @@ class _Imported(TorchvisionDetector):
         self.vehicle_classes, self.normalised = vehicle_classes, normalised
 
     def _normalise(self, images: Tensor) -> Tensor:
-        return normalize(images, *self.colours) if self.normalised else images
+        return normalize(images, MEAN, DEVIATION) if self.normalised else images
 
     def _outputs(self, images: Tensor) -> tuple[dict[str, Tensor], Tensor]:
         outputs, anchors = super()._outputs(images)
