@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from skyproof.camouflage.folder import load_camouflage
 from skyproof.camouflage.make import make_candidates
+from skyproof.reproduction.practicality import practicality_account
 from skyproof.results.outcomes import read_outcomes
 from skyproof.results.results import Results
+from skyproof.vehicles.fleet import Fleet
 from tests.cli.conftest import Skyproof, bytes_of
 
 STEPS = [
@@ -99,11 +102,13 @@ def test_from_names_to_a_table(finished: Path, tmp_path: Path, skyproof: Skyproo
     assert bytes_of(made) == before
     skyproof(*call, "--device", "cpu").refused(str(out), "not overwritten")
 
-    content = json.loads((out / "practicality.json").read_text())
-    measured = {row["name"]: row for row in content["rows"]}
-    assert set(measured) == {"T-PixFcMa-0", "C-PixFcMa-seq@0.2-0"}
-    assert measured["T-PixFcMa-0"]["score"]["total"] == 3
-    assert measured["C-PixFcMa-seq@0.2-0"]["shape"]["largest_displacement_m"] > 0
+    fleet = Fleet.load(finished / "fleets/test")
+    texture, shape = (
+        practicality_account(load_camouflage(made / name), fleet.batch(fleet.ids))
+        for name in ("T-PixFcMa-0", "C-PixFcMa-seq@0.2-0")
+    )
+    assert texture["score"]["total"] == 3
+    assert shape["shape"]["largest_displacement_m"] > 0
 
 
 def test_a_camouflage_is_judged_under_weather(

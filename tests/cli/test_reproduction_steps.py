@@ -10,7 +10,7 @@ from PIL import Image
 from skyproof.errors import RunFolderError
 from skyproof.reproduction.gather_features import store_features
 from skyproof.reproduction.measure_looks import write_looks
-from skyproof.reproduction.stored import read_features, read_looks
+from skyproof.reproduction.stored import read_features, read_looks, read_practicality
 
 
 def test_textures_are_measured_and_samples_drawn(finished: Path, tmp_path: Path) -> None:
@@ -20,6 +20,7 @@ def test_textures_are_measured_and_samples_drawn(finished: Path, tmp_path: Path)
         "out": out,
         "original": finished / "datasets/test",
         "camouflages": [finished / "camouflages" / name for name in names],
+        "finished": [finished / "camouflages" / name for name in names[:2]],
         "backgrounds": finished / "backgrounds",
         "fleet": finished / "fleets/test",
     }
@@ -31,6 +32,11 @@ def test_textures_are_measured_and_samples_drawn(finished: Path, tmp_path: Path)
         json.loads((finished / "fleets/test/fleet.json").read_text())["ids"]
     )
     assert 0.3 < looks.textures[2].faces < 0.34
+    effort = read_practicality(out)
+    assert [(str(name), row.score.total) for name, row in effort.items()] == [
+        ("T-U", -3),
+        ("T-PixFcMa", 3),
+    ]
     # One repeat of T-U has nobody to be compared with, so no draws are compared either.
     assert looks.pairs == []
     # Scenes as bare ground, as built, in the first and the last texture; and the sensor's steps.

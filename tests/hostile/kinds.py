@@ -143,7 +143,7 @@ CARDS = [
 SCORE = "scores/test-0"
 SCORES = [
     Kind(f"report of {name}", f"{SCORE}/{name}.json", report, copied=SCORE, slow=True)
-    for name in ("score", "sets", "baselines", "likeness", "pairs/pairs", "practicality")
+    for name in ("score", "sets", "baselines", "likeness", "pairs/pairs")
 ]
 RUNS = [
     # What has no bearing on the steps does not end the command before its report.

@@ -483,7 +483,6 @@ def test_a_link_out_of_the_run_is_not_shown(run_folder, tmp_path):
         ("scores/main/score.json", '{"thresholds": {"a": "0.5"}}'),
         ("scores/main/sets.json", '{"rows": [{"camouflage": "/etc"}]}'),
         ("scores/main/pairs/pairs.json", '{"rows": [{"original": "../../x.jpg"}]}'),
-        ("scores/main/practicality.json", '{"rows": [{"name": "T-U"}]}'),
         ("detectors/retinanet/steps.jsonl", '{"step": 1}'),
         ("detectors/retinanet/steps.jsonl", '{"step": 1, "loss": NaN}'),
         ("detectors/retinanet/detector.json", '{"threshold": "high"}'),

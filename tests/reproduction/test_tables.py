@@ -89,7 +89,7 @@ def make_folder(folder):
         "texture": {"painted_area_m2": 17.5, "colours": 1000.0},
         "shape": None,
     }
-    write_json(folder / "scores" / "000" / "practicality.json", {"rows": [measured]})
+    write_json(folder / "looks" / "practicality.json", {"rows": [measured]})
     return folder
 
 
@@ -129,6 +129,13 @@ def test_textures(written):
     assert float(row["easr_low"]) < 90 < float(row["easr_high"])
     # A control has no control; what was not measured has no sum of signs.
     assert (rows["R-U"]["net_easr"], rows["T-Fc"]["practicality"]) == ("–", "–")
+
+
+def test_damaged_practicality_is_one_sentence(tmp_path):
+    folder = make_folder(tmp_path)
+    (folder / "looks" / "practicality.json").write_text('{"rows": [{"name": "T-U"}]}')
+    with pytest.raises(StoredFileError, match=r"practicality.json.*the field score is missing"):
+        write_reproduction(folder)
 
 
 def test_shapes_at_their_best_magnitude(written):

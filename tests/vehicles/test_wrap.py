@@ -14,11 +14,11 @@ from scipy.spatial import ConvexHull
 from trimesh.visual.material import SimpleMaterial
 
 from skyproof.camouflage.make import make_camouflage
-from skyproof.camouflage.practicality import measure_shape, measure_texture
 from skyproof.geometry.meshes import enclosed_volume_m3, self_intersections
 from skyproof.main import run
 from skyproof.render.materials import material_labels
 from skyproof.render.portrait import close_up
+from skyproof.reproduction.practicality import measure_shape, measure_texture
 from skyproof.vehicles.fleet import Fleet, FleetSettings, mix_fleets, sample_fleet
 from skyproof.vehicles.template import make_template
 from skyproof.vehicles.texels import texel_metric, texel_regions

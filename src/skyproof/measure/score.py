@@ -14,12 +14,11 @@ from PIL import Image, ImageDraw
 
 from skyproof.camouflage.camouflage import Camouflage
 from skyproof.camouflage.name import CamouflageName
-from skyproof.camouflage.practicality import practicality_account
 from skyproof.datasets.dataset import Dataset
 from skyproof.detectors.detector import Detector
 from skyproof.detectors.validation import average_precision
 from skyproof.errors import ConfigurationError, StoredFileError
-from skyproof.files import finished_folder, inside, write_beside, write_bytes, write_json
+from skyproof.files import finished_folder, inside, write_beside, write_bytes
 from skyproof.measure.baseline import BaselineSet, measure_baselines
 from skyproof.measure.likeness import compare_kinds
 from skyproof.measure.measure import compare, vehicles_seen
@@ -270,9 +269,7 @@ class _Writer:
 
 
 def _add_patterns(folder: Path, worn: Mapping[Path, Camouflage], fleet: Fleet) -> None:
-    """Adds pictures of the pictured camouflages, and the effort of making them."""
-    vehicles = fleet.batch(fleet.ids)
-    rows = []
+    """Adds pictures of the pictured camouflages."""
     for place, camouflage in worn.items():
         if not is_pictured(CamouflageName.read(place.name)):
             continue
@@ -282,9 +279,6 @@ def _add_patterns(folder: Path, worn: Mapping[Path, Camouflage], fleet: Fleet) -
         for file in ("texture.png", "steps.jsonl"):
             if (place / file).exists():
                 write_bytes(own / file, inside(place, file, place).read_bytes())
-        rows.append({**practicality_account(camouflage, vehicles), "name": place.name})
-    if rows:
-        write_json(folder / "practicality.json", {"vehicles": len(vehicles), "rows": rows})
 
 
 def choose_scenes(scenes: Mapping[str, Sequence[Outcome]]) -> dict[str, str]:

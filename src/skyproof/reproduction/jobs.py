@@ -13,6 +13,7 @@ from skyproof.camouflage.name import (
 )
 from skyproof.cli.attack import BEST_OF
 from skyproof.reproduction.preset import Preset
+from skyproof.results.score_folder import is_pictured
 from skyproof.scenes.weather import CONDITIONS
 from skyproof.seeds import next_seed
 
@@ -42,6 +43,7 @@ class Jobs:
         controls: names of the random draws.
         chosen: plain-paint, best-of-N and search controls, by name.
         shapes: names of random shapes, by the finished attack whose texture they have.
+        pictured: the first repeat of each finished attack.
         looked_at: all textures, and an optimised shape and combination of each kind.
         cycles_batches: random controls and finished attacks on all detectors, as in the paper's
             "Blender" column.
@@ -71,6 +73,7 @@ class Jobs:
         self.looked_at = tuple(str(name) for name in (*learnt, *drawn) if self._is_shown(name))
 
         finished = [job.name for job in jobs if not job.name.variant]
+        self.pictured = tuple(str(name) for name in finished if is_pictured(name))
         self.batches = self._batched(self.controls, folders, late)
         self.held_out_batches = self._batched(self.controls, finished, late)
         self.cycles_batches = self._batched(

@@ -16,7 +16,6 @@ from torch import Tensor
 
 from skyproof.camouflage.folder import load_camouflage
 from skyproof.camouflage.name import CamouflageName
-from skyproof.camouflage.practicality import worn_texels
 from skyproof.camouflage.texture import UniversalTexture
 from skyproof.console import progress_bar, say
 from skyproof.datasets.dataset import Dataset
@@ -27,6 +26,7 @@ from skyproof.pictures import write_png
 from skyproof.render.dataset import placed_vehicles
 from skyproof.render.renderer import TorchRenderer
 from skyproof.render.settings import RenderSettings
+from skyproof.reproduction.practicality import practicality_account, worn_texels
 from skyproof.reproduction.stored import Looks, PairLooks, Strip, TextureLooks
 from skyproof.results.score_folder import is_pictured
 from skyproof.scenes.backgrounds import BackgroundSet
@@ -57,12 +57,25 @@ _SENSOR_STEPS = {
 
 
 def write_looks(
-    *, out: Path, original: Path, camouflages: Sequence[Path], backgrounds: Path, fleet: Path
+    *,
+    out: Path,
+    original: Path,
+    camouflages: Sequence[Path],
+    finished: Sequence[Path],
+    backgrounds: Path,
+    fleet: Path,
 ) -> None:
-    """Measures what camouflages look like on a fleet, and draws samples of them in `out`."""
+    """Measures what camouflages look like on a fleet, and draws samples of them in `out`.
+
+    The practicality of `finished` ones is measured beside it.
+    """
     vehicles = Fleet.load(fleet)
     with finished_folder(out) as partial, progress_bar("looks") as update:
-        looks = measure_looks(camouflages, vehicles.batch(vehicles.ids), update)
+        batch = vehicles.batch(vehicles.ids)
+        looks = measure_looks(camouflages, batch, update)
+        rows = [practicality_account(load_camouflage(each), batch) for each in finished]
+        named = [{**row, "name": each.name} for each, row in zip(finished, rows, strict=True)]
+        write_json(partial / "practicality.json", {"vehicles": len(batch), "rows": named})
         ground = BackgroundSet.open(backgrounds)
         every = Dataset.open(original).scenes
         scenes = [scene for scene in every if scene.placements][:_SAMPLES]

@@ -132,7 +132,7 @@ def reproduction_plan(
 
     scores = [*_score_steps(make, jobs, layout, cycles, held_out)]
     if jobs.looked_at:
-        scores.append(make.looks(jobs.looked_at))
+        scores.append(make.looks(jobs.looked_at, jobs.pictured))
     if jobs.featured:
         scores.append(make.features(jobs.featured))
     steps += scores

@@ -6,7 +6,14 @@ from skyproof.camouflage.name import CamouflageName
 from skyproof.reproduction.curves import PracticalityCurve, practicality_curves
 from skyproof.reproduction.layout import PaperLayout
 from skyproof.reproduction.paper_results import PAPER_RESULTS
-from skyproof.reproduction.stored import Features, Looks, read_features, read_looks
+from skyproof.reproduction.stored import (
+    Features,
+    Looks,
+    Practicality,
+    read_features,
+    read_looks,
+    read_practicality,
+)
 from skyproof.results.result import MAIN_MATCH, Result
 from skyproof.results.results import CYCLES, RENDERER, Results
 
@@ -65,6 +72,11 @@ class Reproduction:
     def looks(self) -> Looks | None:
         """What textures look like; None where it was not measured."""
         return read_looks(self.layout.looks)
+
+    @cached_property
+    def practicality(self) -> dict[CamouflageName, Practicality]:
+        """The practicality of finished attacks; empty where it was not measured."""
+        return read_practicality(self.layout.looks)
 
     @cached_property
     def features(self) -> list[Features]:

@@ -253,10 +253,14 @@ class Steps:
             effort_s=self._effort_s(each_s, self._count(split) * (1 + len(camouflages))),
         )
 
-    def looks(self, names: Sequence[str]) -> Step:
-        """Measures what camouflages look like."""
-        settings = {"out": self._run.looks, **self._on_test_scenes(names)}
-        effort_s = 2 * START_S + CONTROL_S * len(names)
+    def looks(self, names: Sequence[str], finished: Sequence[str]) -> Step:
+        """Measures what camouflages look like, and the practicality of finished ones."""
+        settings = {
+            "out": self._run.looks,
+            "finished": tuple(map(self._run.camouflage, finished)),
+            **self._on_test_scenes(names),
+        }
+        effort_s = 2 * START_S + CONTROL_S * (len(names) + len(finished))
         function = partial(_later, "measure_looks", "write_looks")
         return _function_step("looks", "looks", function, settings, effort_s=effort_s)
 

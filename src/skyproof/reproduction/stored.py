@@ -12,16 +12,18 @@ import pyarrow.parquet as pq
 from jaxtyping import Float
 from msgspec import Meta, Struct
 
+from skyproof.camouflage.name import CamouflageName
 from skyproof.documents import read_document
 from skyproof.errors import StoredFileError
 from skyproof.files import write_beside
 from skyproof.ranges import FileReference, Fraction, Name, WholeNumber
 from skyproof.results.outcomes import REMEDY, read_table
-from skyproof.results.stored import Label
+from skyproof.results.stored import Label, Number
 
 GROUND = "ground"
 """Stands in place of a camouflage's name for boxes without a vehicle."""
 
+_REMEDY = "copy the whole folder again, or score again"
 _NAMES = ("detector", "shown", "scene", "background")
 _SCHEMA = pa.schema(
     [
@@ -143,9 +145,40 @@ class Looks(Struct, frozen=True, omit_defaults=True):
     sensor: list[Strip] = []
 
 
+_Measured = dict[Label, Number | bool | None]
+
+
+class _Signs(Struct, frozen=True):
+    texture: _Measured
+    shape: _Measured
+    total: Number
+
+
+class Practicality(Struct, frozen=True):
+    """One row of `practicality.json`: the effort of making a texture and a shape, if changed."""
+
+    name: Name
+    score: _Signs
+    texture: _Measured | None = None
+    shape: _Measured | None = None
+
+
+class _PracticalityFile(Struct, frozen=True):
+    rows: list[Practicality]
+
+
+def read_practicality(folder: Path) -> dict[CamouflageName, Practicality]:
+    """Reads the practicality of finished attacks, by camouflage without repeat; may be empty."""
+    path = folder / "practicality.json"
+    if not path.exists():
+        return {}
+    read: _PracticalityFile = read_document(path, _PracticalityFile, _REMEDY)
+    return {CamouflageName.read(row.name).pooled: row for row in read.rows}
+
+
 def read_looks(folder: Path) -> Looks | None:
     """Reads the looks of camouflages; None if they were not measured."""
     path = folder / "looks.json"
     if not path.exists():
         return None
-    return read_document(path, Looks, "copy the whole folder again, or score again")
+    return read_document(path, Looks, _REMEDY)

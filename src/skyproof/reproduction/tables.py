@@ -176,7 +176,7 @@ def _texture_rows(run: Reproduction) -> list[dict[str, Any]]:
         filter(TEXTURE.fullmatch, run.names), key=lambda name: name.startswith("R-")
     ):
         paper = PAPER_RESULTS.get(name)
-        measured = run.results.practicality.get(CamouflageName.read(name))
+        measured = run.practicality.get(CamouflageName.read(name))
         rows.append(
             {
                 "attack": name,
@@ -326,7 +326,7 @@ def practicality_part(run: Reproduction) -> Topic:
 
 def _practicality_rows(run: Reproduction) -> list[dict[str, Any]]:
     rows = []
-    for name, measured in run.results.practicality.items():
+    for name, measured in run.practicality.items():
         row: dict[str, Any] = {"attack": str(name), "practicality": measured.score.total}
         for told in (measured.score, measured):
             for side in ("texture", "shape"):

@@ -26,7 +26,6 @@ from skyproof.results.statistics.contrasts import Group, difference_interval, me
 from skyproof.results.statistics.intervals import Interval, Sample
 from skyproof.results.stored import (
     AttackRecord,
-    Practicality,
     RunConfig,
     Timing,
     read_config,
@@ -59,8 +58,7 @@ class Results:
     """All results of one run. What a run folder lacks is empty.
 
     `rows` are the table at the frozen thresholds, for each renderer and match rule, computed from
-    the `counts` of outcomes. Cards and prechecks are by detector, records of camouflages by folder,
-    and practicality is by camouflage without repeat.
+    the `counts` of outcomes. Cards and prechecks are by detector, records of camouflages by folder.
     """
 
     folder: Path
@@ -73,7 +71,6 @@ class Results:
     timings: Sequence[Timing]
     cards: Mapping[str, DetectorCard]
     records: Mapping[str, AttackRecord]
-    practicality: Mapping[CamouflageName, Practicality]
     prechecks: Mapping[str, PrecheckRecord] = field(default_factory=dict)
     seed: int = 0
 
@@ -103,7 +100,6 @@ class Results:
             timings=read_timings(layout.timings),
             cards=read_detectors(layout.detectors),
             records=read_records(layout.camouflages),
-            practicality=_practicality(scores),
             prechecks=prechecks,
             seed=seed,
         )
@@ -366,11 +362,3 @@ def _merged_baselines(
             first.setdefault((baseline.detector, baseline.dataset), baseline)
     order = list(dict.fromkeys(detector for detector, _ in first))
     return sorted(first.values(), key=lambda baseline: order.index(baseline.detector))
-
-
-def _practicality(scores: Sequence[ScoreFolder]) -> dict[CamouflageName, Practicality]:
-    rows: dict[CamouflageName, Practicality] = {}
-    for score in scores:
-        for row in score.practicality():
-            rows.setdefault(CamouflageName.read(row.name).pooled, row)
-    return rows

@@ -1,8 +1,8 @@
 """A score folder: all measurements of one call, and everything that a report needs from them.
 
 It holds `score.json`, `outcomes.parquet`, `sets.json`, `baselines.json`, `likeness.json`,
-`pairs/` (pictures of some scenes), `patterns/` (pictures of some camouflages) and
-`practicality.json`. `score.json` and `baselines.json` are always there.
+`pairs/` (pictures of some scenes) and `patterns/` (pictures of some camouflages). `score.json` and
+`baselines.json` are always there.
 """
 
 import math
@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Annotated, Self
 
 import numpy as np
-from msgspec import Meta, Struct
+from msgspec import Meta
 
 from skyproof.camouflage.name import CamouflageName
 from skyproof.documents import read_document
@@ -24,7 +24,7 @@ from skyproof.results.likeness import Likeness
 from skyproof.results.outcomes import ORIGINAL, REMEDY, OutcomeCounts, Series, read_counts
 from skyproof.results.rows_file import read_rows
 from skyproof.results.statistics.intervals import Interval
-from skyproof.results.stored import Label, Practicality, Text
+from skyproof.results.stored import Label, Text
 from skyproof.words import percent
 
 LIKENESS = "likeness.json"
@@ -147,12 +147,8 @@ class SetScore:
     called_another_class: Fraction = math.nan
 
 
-class _PracticalityFile(Struct, frozen=True):
-    rows: list[Practicality]
-
-
 def is_pictured(name: CamouflageName) -> bool:
-    """Whether pictures and practicality are kept, as for the first repeat of a finished attack."""
+    """Whether pictures are kept, as for the first repeat of a finished attack."""
     return not name.random and not name.variant and name.repeat in ("", "0")
 
 
@@ -207,11 +203,6 @@ class ScoreFolder:
     def sets(self) -> list[SetScore]:
         """Returns average precision and false alarms of each set."""
         return read_rows(self.path / "sets.json", SetScore, REMEDY)
-
-    def practicality(self) -> list[Practicality]:
-        """Returns the practicality of the pictured camouflages; empty where not measured."""
-        path = self.path / "practicality.json"
-        return read_document(path, _PracticalityFile, REMEDY).rows if path.exists() else []
 
 
 def merge_scores(

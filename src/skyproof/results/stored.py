@@ -15,7 +15,6 @@ Finite = Annotated[float, Meta(ge=-1e15, le=1e15)]
 Number = Annotated[int, Meta(ge=-(10**15), le=10**15)] | Finite
 Label = Annotated[str, Meta(min_length=1, max_length=300)]
 Text = Annotated[str, Meta(max_length=10_000)]
-_Measured = dict[Label, Number | bool | None]
 
 _REMEDY = "copy the whole folder again, or move this file away"
 
@@ -91,21 +90,6 @@ class AttackRecord(Struct, frozen=True):
 
 class _Camouflage(Struct, frozen=True):
     record: AttackRecord | None = None
-
-
-class _Signs(Struct, frozen=True):
-    texture: _Measured
-    shape: _Measured
-    total: Number
-
-
-class Practicality(Struct, frozen=True):
-    """One row of `practicality.json`: the effort of making a texture and a shape, if changed."""
-
-    name: Name
-    score: _Signs
-    texture: _Measured | None = None
-    shape: _Measured | None = None
 
 
 class _Tile(Struct, frozen=True):

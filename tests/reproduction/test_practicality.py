@@ -3,7 +3,7 @@
 import pytest
 
 from skyproof.camouflage.name import TextureConstraints
-from skyproof.camouflage.practicality import score_practicality
+from skyproof.reproduction.practicality import score_practicality
 
 # From the paper's table S4: texture and shape sign of PC, DI and DO, then the total.
 OWN = [

@@ -7,7 +7,7 @@ import torch
 
 from skyproof.camouflage.displacement import DisplacementMap
 from skyproof.camouflage.name import CamouflageName
-from skyproof.camouflage.practicality import measure_shape
+from skyproof.reproduction.practicality import measure_shape
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 from tests.render.bodies import vehicles
 

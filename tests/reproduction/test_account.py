@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from skyproof.camouflage.make import make_camouflage
-from skyproof.camouflage.practicality import measure_texture, practicality_account
+from skyproof.reproduction.practicality import measure_texture, practicality_account
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 
 PALETTE = (

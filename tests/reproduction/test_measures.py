@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from skyproof.camouflage.practicality import mean_measures, measure_texture
+from skyproof.reproduction.practicality import mean_measures, measure_texture
 from skyproof.vehicles.fleet import FleetSettings, sample_fleet
 from skyproof.vehicles.vehicle import Part
 from tests.vehicles.flat_body import flat_bodies
