@@ -57,9 +57,7 @@ def open_picture(
         ) from None
     except Exception as damage:
         # Damage makes Pillow's readers raise any exception.
-        raise error(
-            f"{path} cannot be read as a picture ({_reason(damage)}); {remedy}."
-        ) from damage
+        raise error(_unreadable(path, damage, remedy)) from damage
     try:
         _refuse_giant(picture, str(path), remedy, error)
     except error:
@@ -175,10 +173,9 @@ def _loaded(
             return picture if picture.mode == mode else picture.convert(mode)
     except Exception as damage:
         # Damage makes Pillow's decoders, too, raise any exception.
-        raise error(
-            f"{place} cannot be read as a picture ({_reason(damage)}); {remedy}."
-        ) from damage
+        raise error(_unreadable(place, damage, remedy)) from damage
 
 
-def _reason(damage: Exception) -> str:
-    return " ".join(str(damage).split())[:200] or type(damage).__name__
+def _unreadable(place: Path | str, damage: Exception, remedy: str) -> str:
+    reason = " ".join(str(damage).split())[:200] or type(damage).__name__
+    return f"{place} cannot be read as a picture ({reason}); {remedy}."
