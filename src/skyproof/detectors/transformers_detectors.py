@@ -1,6 +1,6 @@
 """Detectors of Hugging Face transformers: the only file that imports it.
 
-Networks are built without code of the folders that they come from (`transformers_folder`) and
+Networks are built without code of the folders that they come from (`transformers_files`) and
 without a connection: only the families that `blueprint` lists, and only from the fields that their
 configurations declare.
 """
@@ -19,7 +19,7 @@ from skyproof.detectors.blueprint import TIMM, Blueprint
 from skyproof.detectors.checkpoints import ReadNetwork
 from skyproof.detectors.cost import SIDE_PX, Meter, measured
 from skyproof.detectors.query_detector import Answers, QueryDetector
-from skyproof.detectors.transformers_folder import REMEDY
+from skyproof.detectors.transformers_files import REMEDY
 from skyproof.errors import ConfigurationError
 
 # Published networks need at most 360 px for as many patches as queries.

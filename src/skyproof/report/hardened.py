@@ -155,9 +155,7 @@ def first_pictures(results: Results, attacks: Iterable[str]) -> dict[str, str]:
     first = {name: results.pairs(CamouflageName.read(name), RENDERER)[:1] for name in attacks}
     return {
         name: embedded(
-            inside(folder, pair.adversarial, folder / "pairs.json"),
-            lossless=False,
-            largest_px=400,
+            inside(folder, pair.adversarial, folder / "pairs.json"), lossless=False, largest_px=400
         )
         for name, every in first.items()
         for folder, pair in every

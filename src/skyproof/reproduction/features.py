@@ -22,7 +22,6 @@ from skyproof.reproduction.cells import (
     Topic,
     detector_of,
     interval_cells,
-    number,
     rate,
     value,
 )
@@ -227,26 +226,10 @@ def _blocks(
                 ("aside", value("aside", 2)),
             ],
         ),
-        _readings(rows),
         f"Of {', '.join(silent)} no features are stored: not every detector shows its own."
         if silent
         else "",
     ]
-
-
-def _readings(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Says per camouflage and detector how near to the ground it comes."""
-    said = []
-    for row in rows:
-        if row["shown"] != row["camouflage"]:
-            continue
-        said.append(
-            f"{detector_name(row['detector'])}: {number(row['nearer_ground'], 0)} % of the "
-            f"vehicles with {row['camouflage']} lie nearer to the ground than to vehicles as they "
-            f"were, and {number(row['nearest_own'], 0)} % still nearest to others with "
-            f"{row['camouflage']}."
-        )
-    return " ".join(said)
 
 
 def shown_name(shown: str) -> str:

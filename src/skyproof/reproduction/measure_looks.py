@@ -73,9 +73,11 @@ def write_looks(
     with finished_folder(out) as partial, progress_bar("looks") as update:
         batch = vehicles.batch(vehicles.ids)
         looks = measure_looks(camouflages, batch, update)
-        rows = [practicality_account(load_camouflage(each), batch) for each in finished]
-        named = [{**row, "name": each.name} for each, row in zip(finished, rows, strict=True)]
-        write_json(partial / "practicality.json", {"vehicles": len(batch), "rows": named})
+        rows = [
+            {**practicality_account(load_camouflage(each), batch), "name": each.name}
+            for each in finished
+        ]
+        write_json(partial / "practicality.json", {"vehicles": len(batch), "rows": rows})
         ground = BackgroundSet.open(backgrounds)
         every = Dataset.open(original).scenes
         scenes = [scene for scene in every if scene.placements][:_SAMPLES]

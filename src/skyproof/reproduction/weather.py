@@ -59,9 +59,7 @@ def weather_part(run: Reproduction) -> Topic:
         "without camouflage. “net” is minus the random control in that weather, “gain” what "
         "learning in all weathers adds to learning on clear days, vehicle by vehicle.",
         Figure(
-            "weather",
-            "Success by weather, learnt on clear days and in all weathers",
-            _figure(rows),
+            "weather", "Success by weather, learnt on clear days and in all weathers", _figure(rows)
         ),
         TextTable.of(
             rows,
@@ -78,7 +76,6 @@ def weather_part(run: Reproduction) -> Topic:
                 ("random", value("random")),
             ],
         ),
-        *_readings(rows),
     )
 
 
@@ -129,27 +126,6 @@ def _cells(parts: Sequence[Sequence[Outcome]]) -> dict[str, Any]:
 
 def _condition(row: Mapping[str, Any]) -> str:
     return str(row["condition"]).replace("_", " ")
-
-
-def _readings(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Says per attack where learning in all weathers surely changes what is hidden."""
-    said = []
-    for name in dict.fromkeys(row["attack"] for row in rows):
-        own = [row for row in rows if row["attack"] == name]
-        more = [_condition(row) for row in own if row["gain_low"] > 0]
-        less = [_condition(row) for row in own if row["gain_high"] < 0]
-        found = [
-            f"{word} in {', '.join(conditions)}"
-            for word, conditions in (("surely more", more), ("surely less", less))
-            if conditions
-        ]
-        said.append(
-            f"Learnt in all weathers, {name} hides {'; '.join(found)}."
-            if found
-            else f"Whether {name} was learnt on clear days or in all weathers makes no sure "
-            "difference in any weather."
-        )
-    return [" ".join(said)]
 
 
 @figure_style("weather")
