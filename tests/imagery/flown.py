@@ -47,23 +47,24 @@ def photograph(ground, place, middle, turn, side_px, vehicles=()):
     return Flown(place, turn, start, side_px, image, seen)
 
 
-def fly(rng, *, places, each, side_px=480, ground_px=1000, seed=0):
+def fly(rng, *, places, each, side_px=480, ground_px=1000, seed=0, gsd_m=GSD_M):
     """Photographs drawn places with any heading, 0.7 to 1.3 times the scale, in another light.
 
     Of 60 vehicles that stand on the ground four in ten move.
     """
     flown = []
+    finer = GSD_M / gsd_m
     for place in range(places):
         generator = torch.Generator().manual_seed(1000 * seed + place)
-        drawn = draw_ground(ground_px, GSD_M, generator=generator).image
+        drawn = draw_ground(ground_px, gsd_m, generator=generator).image
         ground = Image.fromarray(drawn.permute(1, 2, 0).numpy())
-        stand = rng.uniform(60, ground_px - 60, (60, 2)) @ [1, 1j]
+        stand = rng.uniform(60 * finer, ground_px - 60 * finer, (60, 2)) @ [1, 1j]
         heading = np.exp(1j * rng.uniform(0, math.pi, 60))
         moves = rng.random(60) < 0.4
         colours = [tuple(map(int, colour)) for colour in rng.integers(0, 255, (60, 3))]
         for _ in range(each):
-            at = stand + moves * (rng.normal(0, 60, (60, 2)) @ [1, 1j])
-            box = np.array([18 + 7.5j, 18 - 7.5j, -18 - 7.5j, -18 + 7.5j])
+            at = stand + moves * (rng.normal(0, 60 * finer, (60, 2)) @ [1, 1j])
+            box = finer * np.array([18 + 7.5j, 18 - 7.5j, -18 - 7.5j, -18 + 7.5j])
             corners = at[:, None] + heading[:, None] * box
             scale = math.exp(rng.uniform(math.log(0.7), math.log(1.3)))
             turn = scale * np.exp(1j * rng.uniform(0, 2 * math.pi))

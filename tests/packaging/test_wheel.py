@@ -1,6 +1,7 @@
 """The wheel: built from the repository and installed elsewhere, it holds all that a run needs."""
 
 import os
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -15,6 +16,7 @@ import skyproof
 
 ROOT = Path(__file__).parents[2]
 SOURCE = ROOT / "src"
+FEW_SCENES = ROOT / "tests" / "few_scenes.py"
 
 
 @pytest.fixture(scope="module")
@@ -109,7 +111,9 @@ def test_an_installed_wheel_runs_the_demo_and_plans_a_reproduction(environment: 
     asked = "from importlib.metadata import version; print(version('skyproof'))"
     assert call(environment, "python", "-c", asked).strip() == skyproof.__version__
     # By a suite that is far too small; what chooses controls is there, and not tried on many.
+    shutil.copy(FEW_SCENES, environment)
     short = """
+from few_scenes import few_scenes_judge
 from dataclasses import replace
 from skyproof.assessment import assess, suite
 from skyproof.main import run
@@ -121,7 +125,8 @@ tiny = replace(
     empty_images=6, tiles=(1, 1, 2, 3), vehicles=(1, 1, 2, 3),
 )
 assess.read_suite = lambda path: tiny
-raise SystemExit(run(["demo", "--out", "demo", "--device", "cpu"]))
+with few_scenes_judge():
+    raise SystemExit(run(["demo", "--out", "demo", "--device", "cpu"]))
 """
     call(environment, "python", "-c", short)
     assert (environment / "demo" / "report.html").read_text().rstrip().endswith("</html>")

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from skyproof.errors import ConfigurationError
+from skyproof.results.statistics import planning
 from skyproof.results.statistics.acceptance import (
     Requirement,
     Tiles,
@@ -27,7 +28,7 @@ def test_only_right_answers_count_and_tiles_without_a_found_vehicle_tell_nothing
 
 
 @pytest.mark.slow
-def test_as_many_tiles_as_planned_decide():
+def test_as_many_tiles_as_planned_decide(monkeypatch):
     requirement = Requirement(0.1, 0.3)
     assumptions = Assumptions(0.8, vehicles_per_tile=6.0, design_effect=1.5)
     tiles = tiles_to_decide(requirement, assumptions)
@@ -40,5 +41,7 @@ def test_as_many_tiles_as_planned_decide():
         decided = (evidence_below(seen, 0.3) >= 20) | (evidence_above(seen, 0.1) >= 20)
         assert decided.mean() >= 0.85
     assert tiles_to_decide(Requirement(0.1, 0.2), assumptions) > 2 * tiles
-    with pytest.raises(ConfigurationError, match="farther apart"):
+    # Simulating twenty thousand tiles would take most of this test's time.
+    monkeypatch.setattr(planning, "_MOST_TRIALS", 1000)
+    with pytest.raises(ConfigurationError, match=r"On no 1,000 tiles .* farther apart"):
         tiles_to_decide(Requirement(0.2, 0.201), assumptions)
