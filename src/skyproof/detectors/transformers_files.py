@@ -197,9 +197,9 @@ def read_rf_detr(checkpoint: Checkpoint, content: Any, state: dict[str, Tensor])
 
 def _fields(content: Any, name: str) -> Mapping[str, Any]:
     found = content.get(name) if isinstance(content, Mapping) else None
-    return (
-        vars(found) if isinstance(found, StandIn) else found if isinstance(found, Mapping) else {}
-    )
+    if isinstance(found, StandIn):
+        return vars(found)
+    return found if isinstance(found, Mapping) else {}
 
 
 def _count(state: Mapping[str, Tensor], prefix: str) -> int:
