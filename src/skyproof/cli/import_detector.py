@@ -24,7 +24,7 @@ class Import:
 
     Attributes:
         checkpoint: .pt or .pth file of torch.save, .safetensors, or a folder of transformers.
-        kind: library of the checkpoint.
+        kind: library of the checkpoint; transformers for a file of RF-DETR's trainer.
         vehicle_classes: vehicle classes of the checkpoint: names, or label numbers for torchvision
             (COCO: 3 car, 6 bus, 8 truck).
         validation: dataset folder that freezes the threshold, at the resolution of later use.
