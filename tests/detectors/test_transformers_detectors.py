@@ -184,6 +184,21 @@ def test_small_images_are_seen_in_a_frame_as_large_as_in_training(tmp_path: Path
     assert detector.window_px == 192
 
 
+def test_sides_are_multiples_of_patches_and_windows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name, settings, backbone = FAMILIES["rf_detr"]
+    own = backbone | {"patch_size": 14, "image_size": 140}
+    monkeypatch.setitem(FAMILIES, "rf_detr", (name, settings, own))
+    write_folder(tmp_path, "rf_detr")
+    detector = read(tmp_path, "car")
+    seen, _ = detector.network._seen(IMAGES)
+    assert seen.shape[-2:] == (140, 140)
+    framed = torch.full((1, 3, 140, 140), 0.45)
+    framed[..., :SIDE_PX, :SIDE_PX] = IMAGES[:1]
+    assert torch.equal(detector.candidates(IMAGES[:1]).boxes, detector.candidates(framed).boxes)
+
+
 def changed(name: str, **fields: Any) -> Callable[[Path], None]:
     def change(folder: Path) -> None:
         stored = json.loads((folder / name).read_text())
