@@ -60,11 +60,12 @@ def test_it_is_the_network_of_transformers(
 ) -> None:
     wanted = read(folder / "model.safetensors", "car").detect(IMAGES)
     files = {
-        "old": {"model": weights, "args": argparse.Namespace(**NOTED)},
+        "old": {"model": weights, "args": argparse.Namespace(**NOTED), "model_config": {"lr": 1}},
         "new": {"model": weights, "args": {"lr": 1e-4}, "model_config": NOTED},
         "lightning": {
             "state_dict": {f"model.{name}": each for name, each in weights.items()},
             "args": NOTED,
+            "model_config": NOTED,
         },
     }
     for name, content in files.items():
@@ -81,7 +82,7 @@ def test_it_is_the_network_of_transformers(
 def test_it_is_stored_as_any_other(
     folder: Path, weights: dict[str, Tensor], tmp_path: Path
 ) -> None:
-    torch.save({"model": weights, "args": NOTED}, tmp_path / "best.pth")
+    torch.save({"model": weights, "model_config": NOTED}, tmp_path / "best.pth")
     checkpoint = Checkpoint(tmp_path / "best.pth", "transformers", ("car", "van"))
     boxes = [found.boxes[:2] for found in read(checkpoint.path, "car", "van").detect(IMAGES)]
     labelled = type(LABELLED).of_images(LABELLED.images(range(3)), boxes, gsd_m=0.125)
@@ -90,6 +91,23 @@ def test_it_is_stored_as_any_other(
     assert card.brought is not None
     assert (card.brought.classes, card.brought.side_px) == (["car", "van", "2"], SIDE_PX)
     assert len(load_detector(tmp_path / "mine").detect(IMAGES)[0].scores)
+
+
+def test_names_of_older_releases_are_not_taken(weights: dict[str, Tensor], tmp_path: Path) -> None:
+    # rfdetr 1.2 numbers its names from row 1, so that the wrong class would be taken.
+    torch.save({"model": weights, "args": argparse.Namespace(**NOTED)}, tmp_path / "best.pth")
+    assert read(tmp_path / "best.pth", "1").network.vehicle_classes == [1]
+    with pytest.raises(SkyproofError, match="expects names out of 0, 1, 2; got car"):
+        read(tmp_path / "best.pth", "car")
+
+
+def test_more_classes_than_any_detector_has_are_refused(
+    weights: dict[str, Tensor], tmp_path: Path
+) -> None:
+    state = weights | {"class_embed.bias": torch.zeros(10**6, dtype=torch.int8)}
+    torch.save({"model": state, "model_config": NOTED}, tmp_path / "best.pth")
+    with pytest.raises(SkyproofError):
+        read(tmp_path / "best.pth", "car")
 
 
 def test_classes_without_names_are_numbers(weights: dict[str, Tensor], tmp_path: Path) -> None:
@@ -117,7 +135,7 @@ def test_bad_settings_are_one_sentence(
     change: dict[str, Any], said: str, weights: dict[str, Tensor], tmp_path: Path
 ) -> None:
     noted = {name: value for name, value in (NOTED | change).items() if value is not None}
-    torch.save({"model": weights, "args": noted}, tmp_path / "best.pth")
+    torch.save({"model": weights, "model_config": noted}, tmp_path / "best.pth")
     with pytest.raises(SkyproofError) as refusal:
         read(tmp_path / "best.pth", "car")
     assert said in str(refusal.value)
@@ -136,14 +154,14 @@ def test_missing_tensors_are_one_sentence(
     missing: str, said: str, weights: dict[str, Tensor], tmp_path: Path
 ) -> None:
     rest = {name: tensor for name, tensor in weights.items() if name != missing}
-    torch.save({"model": rest, "args": NOTED}, tmp_path / "best.pth")
+    torch.save({"model": rest, "model_config": NOTED}, tmp_path / "best.pth")
     with pytest.raises(SkyproofError, match=said):
         read(tmp_path / "best.pth", "car")
 
 
 def test_several_levels_are_refused(weights: dict[str, Tensor], tmp_path: Path) -> None:
     state = weights | {"backbone.0.projector.stages.1.1.weight": torch.zeros(1)}
-    torch.save({"model": state, "args": NOTED}, tmp_path / "best.pth")
+    torch.save({"model": state, "model_config": NOTED}, tmp_path / "best.pth")
     with pytest.raises(SkyproofError, match=r"several levels, as the first Large was.*to ONNX"):
         read(tmp_path / "best.pth", "car")
 
@@ -167,7 +185,7 @@ def test_detections_are_those_of_rfdetr(tmp_path: Path) -> None:
                 parameter.data.normal_(std=0.3 if "class" in name else 0.03)
     settings = theirs.model_config.model_dump()
     torch.save(
-        {"model": network.state_dict(), "args": settings | {"class_names": CLASSES[:2]}},
+        {"model": network.state_dict(), "model_config": settings | {"class_names": CLASSES[:2]}},
         tmp_path / "best.pth",
     )
     side = settings["resolution"]

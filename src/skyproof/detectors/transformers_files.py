@@ -135,7 +135,7 @@ def is_rf_detr(state: Mapping[str, Tensor]) -> bool:
 def read_rf_detr(checkpoint: Checkpoint, content: Any, state: dict[str, Tensor]) -> ReadNetwork:
     """Reads the network as `read_folder` does; what no box needs leaves `state`.
 
-    Classes without names are numbers, as in rfdetr's own weights for COCO (3 car, 6 bus, 8 truck).
+    Classes are numbers (COCO: 3 car) without `model_config`: older names may begin at row 1.
     """
     path = checkpoint.path
     if any("projector.stages.1." in name for name in state):
@@ -158,7 +158,7 @@ def read_rf_detr(checkpoint: Checkpoint, content: Any, state: dict[str, Tensor])
         patches = state[f"{below}embeddings.patch_embeddings.projection.weight"]
         queries, width = state["query_feat.weight"].shape
         groups = _count(state, "transformer.enc_output.")
-        rows = len(state["class_embed.bias"])
+        rows = min(len(state["class_embed.bias"]), 5001)
         hidden, patch_px = len(patches), patches.shape[-1]
         network = {
             "model_type": "rf_detr",
@@ -188,7 +188,7 @@ def read_rf_detr(checkpoint: Checkpoint, content: Any, state: dict[str, Tensor])
             f"{path} lacks tensors of an RF-DETR that finds boxes ({str(error)[:100]}); "
             f"{_RF_DETR_REMEDY}."
         ) from error
-    names = settings.class_names or []
+    names = (settings.class_names if _fields(content, "model_config") else None) or []
     classes = [*names[:rows], *map(str, range(min(len(names), rows), rows))]
     plan = {"network": network, "backbone": backbone, "image_mean": _MEAN, "image_std": _DEVIATION}
     vehicles = class_positions(checkpoint.vehicle_classes, classes)
